@@ -1,0 +1,147 @@
+//! Morton (Z-order) codes of integer cells.
+//!
+//! A code interleaves the bits of three coordinates, x in the lowest place, so that the top
+//! `3 g` bits of a `3 b` bit code name the cell at level `g`. The octant of a cell within its
+//! parent is its lowest three bits: 1 for upper x, 2 for upper y, 4 for upper z.
+
+use std::fmt::Debug;
+use std::hash::Hash;
+
+/// An unsigned integer wide enough for the Morton codes of one octree.
+///
+/// `u64` holds 21 bits per axis, `u128` the 32 bits that any integer lattice of scan files needs.
+pub trait MortonKey: Copy + Ord + Send + Sync + Debug + Hash + Default + 'static {
+    /// Most bits per axis that fit.
+    const MAX_BITS: u32;
+    /// Bytes of the key.
+    const BYTES: usize;
+
+    /// Interleaves three coordinates of at most [`MAX_BITS`](Self::MAX_BITS) bits each.
+    fn encode(cell: [u32; 3]) -> Self;
+    /// The coordinates that [`encode`](Self::encode) interleaved.
+    fn decode(self) -> [u32; 3];
+    /// The code of the enclosing cell `levels` levels up.
+    fn ancestor(self, levels: u32) -> Self;
+    /// The octant (0..8) of the enclosing cell `levels` levels up, within that cell's parent.
+    fn octant(self, levels: u32) -> usize;
+    /// Byte `i` counted from the lowest, for radix sorting.
+    fn byte(self, i: usize) -> usize;
+    /// The lowest `3 bits` bits: the code relative to the cell that encloses it `bits` levels up.
+    fn local(self, bits: u32) -> Self;
+    /// The low 64 bits.
+    fn low_u64(self) -> u64;
+}
+
+impl MortonKey for u64 {
+    const MAX_BITS: u32 = 21;
+    const BYTES: usize = 8;
+
+    fn encode(cell: [u32; 3]) -> Self {
+        spread(cell[0]) | spread(cell[1]) << 1 | spread(cell[2]) << 2
+    }
+    fn decode(self) -> [u32; 3] {
+        [gather(self), gather(self >> 1), gather(self >> 2)]
+    }
+    fn ancestor(self, levels: u32) -> Self {
+        self.checked_shr(3 * levels).unwrap_or(0)
+    }
+    fn octant(self, levels: u32) -> usize {
+        (self.ancestor(levels) & 7) as usize
+    }
+    fn byte(self, i: usize) -> usize {
+        (self >> (8 * i)) as usize & 0xff
+    }
+    fn local(self, bits: u32) -> Self {
+        self & 1u64.checked_shl(3 * bits).map_or(u64::MAX, |bit| bit - 1)
+    }
+    fn low_u64(self) -> u64 {
+        self
+    }
+}
+
+impl MortonKey for u128 {
+    const MAX_BITS: u32 = 32;
+    const BYTES: usize = 12;
+
+    fn encode(cell: [u32; 3]) -> Self {
+        let low = u64::encode(cell.map(|c| c & 0x1f_ffff));
+        let high = u64::encode(cell.map(|c| c >> 21));
+        u128::from(low) | u128::from(high) << 63
+    }
+    fn decode(self) -> [u32; 3] {
+        let low = (self as u64 & (u64::MAX >> 1)).decode();
+        let high = ((self >> 63) as u64).decode();
+        [0, 1, 2].map(|axis| low[axis] | high[axis] << 21)
+    }
+    fn ancestor(self, levels: u32) -> Self {
+        self.checked_shr(3 * levels).unwrap_or(0)
+    }
+    fn octant(self, levels: u32) -> usize {
+        (self.ancestor(levels) & 7) as usize
+    }
+    fn byte(self, i: usize) -> usize {
+        (self >> (8 * i)) as usize & 0xff
+    }
+    fn local(self, bits: u32) -> Self {
+        self & 1u128.checked_shl(3 * bits).map_or(u128::MAX, |bit| bit - 1)
+    }
+    fn low_u64(self) -> u64 {
+        self as u64
+    }
+}
+
+/// Spreads the low 21 bits of `v` to every third bit.
+fn spread(v: u32) -> u64 {
+    let mut x = u64::from(v) & 0x1f_ffff;
+    x = (x | x << 32) & 0x001f_0000_0000_ffff;
+    x = (x | x << 16) & 0x001f_0000_ff00_00ff;
+    x = (x | x << 8) & 0x100f_00f0_0f00_f00f;
+    x = (x | x << 4) & 0x10c3_0c30_c30c_30c3;
+    (x | x << 2) & 0x1249_2492_4924_9249
+}
+
+/// Collects every third bit of `v`; the inverse of [`spread`].
+fn gather(v: u64) -> u32 {
+    let mut x = v & 0x1249_2492_4924_9249;
+    x = (x ^ x >> 2) & 0x10c3_0c30_c30c_30c3;
+    x = (x ^ x >> 4) & 0x100f_00f0_0f00_f00f;
+    x = (x ^ x >> 8) & 0x001f_0000_ff00_00ff;
+    x = (x ^ x >> 16) & 0x001f_0000_0000_ffff;
+    (x ^ x >> 32) as u32 & 0x1f_ffff
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// One bit at a time, straight from the definition.
+    fn encode_slowly(cell: [u32; 3], bits: u32) -> u128 {
+        let mut code = 0;
+        for bit in 0..bits {
+            for (axis, c) in cell.iter().enumerate() {
+                code |= u128::from(c >> bit & 1) << (3 * bit as usize + axis);
+            }
+        }
+        code
+    }
+
+    proptest! {
+        #[test]
+        fn narrow_codes_match_the_definition(x in 0u32..1 << 21, y in 0u32..1 << 21, z in 0u32..1 << 21) {
+            let code = u64::encode([x, y, z]);
+            prop_assert_eq!(u128::from(code), encode_slowly([x, y, z], 21));
+            prop_assert_eq!(code.decode(), [x, y, z]);
+        }
+
+        #[test]
+        fn wide_codes_match_the_definition(x: u32, y: u32, z: u32, level in 0u32..32) {
+            let code = u128::encode([x, y, z]);
+            prop_assert_eq!(code, encode_slowly([x, y, z], 32));
+            prop_assert_eq!(code.decode(), [x, y, z]);
+            prop_assert_eq!(code.ancestor(level).decode(), [x >> level, y >> level, z >> level]);
+            let mask = ((1u64 << level) - 1) as u32;
+            prop_assert_eq!(code.local(level).decode(), [x & mask, y & mask, z & mask]);
+        }
+    }
+}

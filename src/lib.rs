@@ -1,0 +1,9 @@
+//! Esker: scans into an on-disk nested octree of sequential point trees, and pictures out of it.
+//!
+//! `ARCHITECTURE.md` tells how the rooms fit; `FORMAT.md` gives the store byte by byte.
+
+pub mod geometry;
+pub mod ids;
+pub mod octree;
+pub mod points;
+pub mod select;

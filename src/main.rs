@@ -1,0 +1,3 @@
+//! The `esker` program: arguments to one command.
+
+fn main() {}

@@ -7,3 +7,4 @@ pub mod ids;
 pub mod octree;
 pub mod points;
 pub mod select;
+pub mod store;

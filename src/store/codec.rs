@@ -44,7 +44,12 @@ pub struct CodecScratch {
 
 /// Compresses `raw`, whole elements of `shape`, and appends the result to `out`.
 /// Returns the number of bytes appended.
-pub fn encode(shape: ElementShape, raw: &[u8], scratch: &mut CodecScratch, out: &mut Vec<u8>) -> usize {
+pub fn encode(
+    shape: ElementShape,
+    raw: &[u8],
+    scratch: &mut CodecScratch,
+    out: &mut Vec<u8>,
+) -> usize {
     assert_eq!(raw.len() % shape.bytes(), 0, "a column holds whole elements");
     scratch.planes.resize(raw.len(), 0);
     match shape.component_bytes {
@@ -220,8 +225,7 @@ mod tests {
 
     #[test]
     fn sorted_codes_shrink_and_noise_does_not_grow() {
-        let shape =
-            ElementShape { component_bytes: 8, components: 1, filter: Filter::DeltaPlanes };
+        let shape = ElementShape { component_bytes: 8, components: 1, filter: Filter::DeltaPlanes };
         let sorted: Vec<u8> = (0..10_000u64).flat_map(|i| (i * i).to_le_bytes()).collect();
         assert!(round_trip(shape, &sorted) * 3 < sorted.len());
         let mut state = 1u64;

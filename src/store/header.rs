@@ -100,7 +100,9 @@ impl Header {
         }
         let (found, stated) = (crc32c::crc32c(&bytes[..124]), u32_at(124));
         if found != stated {
-            return Err(HeaderError::Damaged(format!("checksum {found:08x}, it says {stated:08x}")));
+            return Err(HeaderError::Damaged(format!(
+                "checksum {found:08x}, it says {stated:08x}"
+            )));
         }
         let header = Header {
             file_bytes: u64_at(16),

@@ -1,0 +1,25 @@
+//! The `.esker` file: the only room that knows its bytes.
+//!
+//! Header, metadata, node directory, node data, appendix (`FORMAT.md`). Each node's positions,
+//! colours and further attributes are separate, separately compressed and checksummed sections.
+
+mod check;
+mod codec;
+mod directory;
+mod error;
+mod header;
+mod metadata;
+mod reader;
+mod writer;
+
+pub use check::{CheckReport, Finding, check};
+pub use codec::{CodecScratch, ElementShape, Filter, encode as encode_section};
+pub use directory::SectionExtent;
+pub use error::{NodeReadError, StoreError};
+pub use header::{HEADER_BYTES, Header, MAGIC, PartExtent, VERSION};
+pub use metadata::{
+    CrsInfo, Metadata, NARROW_BITS, Section, SectionContent, SourceInfo, ValueRange,
+    position_shape, sections_for,
+};
+pub use reader::Store;
+pub use writer::{AppendixPart, EncodedNode, StoreWriter};

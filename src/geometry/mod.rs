@@ -1,9 +1,11 @@
-//! Shapes and spaces: boxes, views, Morton codes. Arithmetic only.
+//! Shapes and spaces: boxes, views, frusta, Morton codes. Arithmetic only.
 
 mod aabb;
+mod frustum;
 mod morton;
 mod view;
 
 pub use aabb::Aabb;
+pub use frustum::{CellDescent, ClipCell, Containment, Frustum};
 pub use morton::MortonKey;
 pub use view::{Camera, View};

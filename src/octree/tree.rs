@@ -77,6 +77,7 @@ pub struct Octree {
     root_cube: RootCube,
     depth: u32,
     nodes: Vec<Node>,
+    point_count: u64,
 }
 
 impl Octree {
@@ -88,7 +89,8 @@ impl Octree {
         depth: u32,
         nodes: Vec<Node>,
     ) -> Result<Self, OctreeError> {
-        let octree = Octree { lattice, root_cube, depth, nodes };
+        let point_count = nodes.iter().map(|node| u64::from(node.point_count())).sum();
+        let octree = Octree { lattice, root_cube, depth, nodes, point_count };
         octree.check_structure()?;
         Ok(octree)
     }
@@ -120,7 +122,7 @@ impl Octree {
 
     /// All points.
     pub fn point_count(&self) -> u64 {
-        self.nodes.iter().map(|node| u64::from(node.point_count())).sum()
+        self.point_count
     }
 
     /// Edge of a node's cell in lattice steps, as bits: local coordinates are below `2^bits`.

@@ -1,0 +1,547 @@
+//! The traversal: from a view and a point budget to the nodes drawn and the nodes wanted.
+//!
+//! Nodes are taken in the order of their size on screen. A node is dropped with its subtree if the
+//! frustum misses it or if what is drawn there already is fine enough; the walk ends at the first
+//! node whose points no longer fit the budget, so that a larger budget only ever adds points. A
+//! cloud that fits the budget as a whole needs no order: its nodes are walked coarse to fine and
+//! no queue is built.
+//!
+//! Departures from the paper, with their reasons:
+//! - culling comes before the budget, or one large node out of sight would end the frame;
+//! - a node without a drawn ancestor (the root) is never dropped for being fine enough, or a model
+//!   far away would vanish; it draws the levels that its size asks for, at least one point;
+//! - nodes that are not resident use up the budget as if they were drawn, or the walk would run
+//!   past them and ask for far more than fits.
+//!
+//! Not here: loading what is asked for, and choosing the budget.
+//! Source: the Instant Points chapter, 6.5.3, corrected as above.
+
+use std::cmp::Ordering;
+use std::collections::BinaryHeap;
+
+use glam::DVec3;
+use serde::Serialize;
+
+use crate::geometry::{Aabb, CellDescent, ClipCell, Containment, Frustum, View};
+use crate::ids::NodeId;
+use crate::octree::{Node, Octree};
+use crate::select::level::{LevelRule, RuleCell, off_axis_cosine, projected_px, required_level};
+use crate::select::splat::{self, DrawnRow, SplatSettings};
+
+/// Whether a node's points can be drawn now.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Availability {
+    /// They can.
+    Resident,
+    /// Not yet: it is asked for, and its subtree waits.
+    Absent,
+    /// They never will (unreadable): it is neither drawn nor asked for, its children are.
+    Failed,
+}
+
+/// What the traversal is told about loading.
+pub trait Residency {
+    /// Whether a node's points can be drawn now.
+    fn availability(&self, node: NodeId) -> Availability;
+}
+
+impl<F: Fn(NodeId) -> Availability> Residency for F {
+    fn availability(&self, node: NodeId) -> Availability {
+        self(node)
+    }
+}
+
+/// Everything is loaded.
+#[derive(Clone, Copy, Debug)]
+pub struct AllResident;
+
+impl Residency for AllResident {
+    fn availability(&self, _: NodeId) -> Availability {
+        Availability::Resident
+    }
+}
+
+/// What a cut may cost and how exact it shall be.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CutSettings {
+    /// Most points drawn and asked for together. Default 5 million. At least one point of the
+    /// root is drawn whatever it says.
+    pub point_budget: u64,
+    /// Largest spacing on screen that counts as fine enough, pixels. Default 1; half of it costs
+    /// about four times the points.
+    pub error_px: f64,
+    /// How spacing is judged.
+    pub rule: LevelRule,
+    /// Whether the node that no longer fits the budget still draws the levels that do. Default
+    /// off.
+    pub fill: bool,
+    /// Whether nodes out of sight are dropped. Default on; off only to measure what it saves.
+    pub cull_frustum: bool,
+    /// How large the points are drawn.
+    pub splat: SplatSettings,
+}
+
+impl Default for CutSettings {
+    fn default() -> Self {
+        CutSettings {
+            point_budget: 5_000_000,
+            error_px: 1.0,
+            rule: LevelRule::default(),
+            fill: false,
+            cull_frustum: true,
+            splat: SplatSettings::default(),
+        }
+    }
+}
+
+/// One node to draw.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct DrawNode {
+    /// Which.
+    pub node: NodeId,
+    /// How many of its leading points, at least 1.
+    pub count: u32,
+    /// Global level whose cell edge sets the size of its splats. With
+    /// [`SplatPolicy::PerPoint`](crate::select::SplatPolicy::PerPoint) it is the node's own, and
+    /// drawn descendants refine it point by point.
+    pub splat_level: u32,
+}
+
+/// One node to load.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Request {
+    /// Which.
+    pub node: NodeId,
+    /// How many of its leading points would be drawn now.
+    pub count: u32,
+    /// Size of its cell on screen, pixels; infinite with the eye inside.
+    pub priority_px: f64,
+}
+
+/// What a traversal did; all of it repeats on any machine.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct CutCounters {
+    /// Nodes looked at.
+    pub nodes_visited: u32,
+    /// Of these, dropped for being out of sight.
+    pub nodes_culled: u32,
+    /// Of these, dropped because what is drawn there is fine enough.
+    pub nodes_fine_enough: u32,
+    /// Nodes drawn.
+    pub nodes_drawn: u32,
+    /// Points drawn.
+    pub points_drawn: u64,
+    /// Nodes asked for.
+    pub nodes_requested: u32,
+    /// Points asked for.
+    pub points_requested: u64,
+    /// Nodes that cannot be read.
+    pub nodes_failed: u32,
+    /// Nodes wanted that the budget left out (those known when the walk ended).
+    pub nodes_over_budget: u32,
+    /// Nodes taken from the priority queue; 0 if no queue was needed.
+    pub queue_pops: u32,
+}
+
+/// The result for one octree.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Cut {
+    /// What to draw, by falling priority, or coarse to fine if the whole cloud fits the budget.
+    pub draw: Vec<DrawNode>,
+    /// What to load, by falling priority.
+    pub requests: Vec<Request>,
+    /// The drawn nodes sorted by id, linked so that the deepest one around a point can be found.
+    pub table: Vec<DrawnRow>,
+    /// What it took.
+    pub counters: CutCounters,
+}
+
+impl Cut {
+    fn clear(&mut self) {
+        self.draw.clear();
+        self.requests.clear();
+        self.table.clear();
+        self.counters = CutCounters::default();
+    }
+}
+
+/// Memory that traversals reuse, so that a warmed-up one allocates nothing.
+#[derive(Debug, Default)]
+pub struct CutScratch {
+    queue: BinaryHeap<Candidate>,
+    list: Vec<Candidate>,
+    spaces: Vec<Space>,
+    /// Per octree and drawn node: the octants whose child the view wants.
+    wanted: Vec<Vec<u8>>,
+    splat: splat::Scratch,
+    spare: Vec<Cut>,
+}
+
+impl CutScratch {
+    /// Takes back a cut that is no longer needed, for its memory.
+    pub fn recycle(&mut self, cut: Cut) {
+        self.spare.push(cut);
+    }
+
+    fn fresh_cut(&mut self) -> Cut {
+        let mut cut = self.spare.pop().unwrap_or_default();
+        cut.clear();
+        cut
+    }
+}
+
+/// Chooses what to draw of one octree.
+pub fn select_nodes(
+    octree: &Octree,
+    view: &View,
+    settings: &CutSettings,
+    residency: &dyn Residency,
+    scratch: &mut CutScratch,
+) -> Cut {
+    let mut cut = scratch.fresh_cut();
+    let scene = [(octree, residency)];
+    traverse(&scene, view, settings, scratch, std::slice::from_mut(&mut cut));
+    cut
+}
+
+/// Chooses what to draw of several octrees that share one budget; one cut each, in their order.
+pub fn select_scene(
+    scene: &[(&Octree, &dyn Residency)],
+    view: &View,
+    settings: &CutSettings,
+    scratch: &mut CutScratch,
+) -> Vec<Cut> {
+    let mut cuts: Vec<Cut> = scene.iter().map(|_| scratch.fresh_cut()).collect();
+    traverse(scene, view, settings, scratch, &mut cuts);
+    cuts
+}
+
+fn traverse(
+    scene: &[(&Octree, &dyn Residency)],
+    view: &View,
+    settings: &CutSettings,
+    scratch: &mut CutScratch,
+    cuts: &mut [Cut],
+) {
+    let frustum = Frustum::new(view);
+    scratch.spaces.clear();
+    scratch.spaces.extend(scene.iter().map(|(octree, _)| Space::new(octree, view, &frustum)));
+    scratch.wanted.resize_with(scene.len().max(scratch.wanted.len()), Vec::new);
+    scratch.wanted.iter_mut().for_each(Vec::clear);
+
+    let mut walk = Walk {
+        scene,
+        view,
+        settings,
+        spaces: &scratch.spaces,
+        wanted: &mut scratch.wanted,
+        remaining: settings.point_budget,
+        cuts,
+    };
+    let point_count: u64 = scene.iter().map(|(octree, _)| octree.point_count()).sum();
+    if point_count <= settings.point_budget {
+        walk.everything(&mut scratch.list);
+        walk.cuts.iter_mut().for_each(sort_requests);
+    } else {
+        walk.by_priority(&mut scratch.queue);
+    }
+    for (((octree, _), cut), wanted) in scene.iter().zip(cuts).zip(&scratch.wanted) {
+        splat::link(octree, cut, wanted, settings.splat.policy, &mut scratch.splat);
+    }
+}
+
+fn sort_requests(cut: &mut Cut) {
+    cut.requests
+        .sort_unstable_by(|a, b| b.priority_px.total_cmp(&a.priority_px).then(a.node.cmp(&b.node)));
+}
+
+/// A node that is seen and not yet fine enough.
+#[derive(Clone, Copy, Debug)]
+struct Candidate {
+    priority_px: f64,
+    depth: u32,
+    octree: u32,
+    node: NodeId,
+    /// Leading points that its size on screen asks for.
+    count: u32,
+    has_drawn_ancestor: bool,
+    wholly_inside: bool,
+    cell: ClipCell,
+}
+
+impl Candidate {
+    /// Larger on screen first, then coarser, then by octree and path.
+    fn order(&self) -> (u32, u32, NodeId) {
+        (self.depth, self.octree, self.node)
+    }
+}
+
+impl Ord for Candidate {
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.priority_px
+            .total_cmp(&other.priority_px)
+            .then_with(|| other.order().cmp(&self.order()))
+    }
+}
+
+impl PartialOrd for Candidate {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl PartialEq for Candidate {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other) == Ordering::Equal
+    }
+}
+
+impl Eq for Candidate {}
+
+/// One octree as the view sees it.
+#[derive(Clone, Debug)]
+struct Space {
+    /// The eye in lattice steps from the lowest corner of the root.
+    eye_steps: DVec3,
+    /// World length of a lattice step.
+    scale: DVec3,
+    bits: u32,
+    descent: CellDescent,
+}
+
+impl Space {
+    fn new(octree: &Octree, view: &View, frustum: &Frustum) -> Self {
+        let lattice = octree.lattice();
+        let root = octree.root_cube();
+        let half_steps = 0.5 * f64::from(root.bits).exp2();
+        let center = (root.min.as_dvec3() + half_steps) * lattice.scale + lattice.offset;
+        Space {
+            eye_steps: lattice.lattice(view.camera.eye) - root.min.as_dvec3(),
+            scale: lattice.scale,
+            bits: root.bits,
+            descent: frustum.descend(center, half_steps * lattice.scale),
+        }
+    }
+
+    /// A node's closed cell, world lengths relative to the eye.
+    fn cell_box(&self, node: &Node) -> Aabb {
+        let edge = f64::from(self.bits - node.depth).exp2();
+        let min = node.cell.as_dvec3() * edge - self.eye_steps;
+        Aabb::new(min * self.scale, (min + (edge - 1.0)) * self.scale)
+    }
+}
+
+struct Walk<'a> {
+    scene: &'a [(&'a Octree, &'a dyn Residency)],
+    view: &'a View,
+    settings: &'a CutSettings,
+    spaces: &'a [Space],
+    wanted: &'a mut [Vec<u8>],
+    remaining: u64,
+    cuts: &'a mut [Cut],
+}
+
+/// What became of a candidate.
+enum Step {
+    /// It counts, and its children are next.
+    Descend { drawn: bool },
+    /// It counts, and its subtree waits for it.
+    Wait,
+    /// It did not fit; nothing after it may.
+    Stop,
+}
+
+impl Walk<'_> {
+    /// Every node that is seen and not fine enough, coarse to fine; the budget cannot bind.
+    fn everything(&mut self, list: &mut Vec<Candidate>) {
+        list.clear();
+        self.roots(|root| list.push(root));
+        let mut next = 0;
+        while next < list.len() {
+            let candidate = list[next];
+            next += 1;
+            if let Step::Descend { drawn } = self.take(&candidate) {
+                self.children(&candidate, drawn, |child| list.push(child));
+            }
+        }
+    }
+
+    /// The largest on screen first, until the budget is used up.
+    fn by_priority(&mut self, queue: &mut BinaryHeap<Candidate>) {
+        queue.clear();
+        self.roots(|root| queue.push(root));
+        while let Some(candidate) = queue.pop() {
+            self.cuts[candidate.octree as usize].counters.queue_pops += 1;
+            match self.take(&candidate) {
+                Step::Descend { drawn } => {
+                    self.children(&candidate, drawn, |child| queue.push(child));
+                }
+                Step::Wait => {}
+                Step::Stop => break,
+            }
+        }
+        // Other octrees keep one point each, so that none vanishes.
+        for candidate in queue.drain() {
+            self.cuts[candidate.octree as usize].counters.nodes_over_budget += 1;
+            if !candidate.has_drawn_ancestor {
+                self.take_levels(&candidate, 1);
+            }
+        }
+    }
+
+    /// Draws a candidate or asks for it, if the budget allows.
+    fn take(&mut self, candidate: &Candidate) -> Step {
+        let availability = self.availability(candidate);
+        if availability == Availability::Failed {
+            self.cuts[candidate.octree as usize].counters.nodes_failed += 1;
+            return Step::Descend { drawn: false };
+        }
+        if u64::from(candidate.count) > self.remaining {
+            self.cuts[candidate.octree as usize].counters.nodes_over_budget += 1;
+            if !candidate.has_drawn_ancestor {
+                self.take_levels(candidate, self.remaining.max(1));
+            } else if self.settings.fill {
+                self.take_levels(candidate, self.remaining);
+            }
+            return Step::Stop;
+        }
+        self.remaining -= u64::from(candidate.count);
+        self.record(candidate, candidate.count, availability);
+        match availability {
+            Availability::Resident => Step::Descend { drawn: true },
+            _ => Step::Wait,
+        }
+    }
+
+    /// Takes the levels of a candidate that have at most `limit` points together, if any.
+    fn take_levels(&mut self, candidate: &Candidate, limit: u64) {
+        let levels = &self.scene[candidate.octree as usize].0.node(candidate.node).levels;
+        let limit = limit.min(u64::from(candidate.count));
+        let fitting = levels.totals().iter().rev().find(|&&total| u64::from(total) <= limit);
+        if let Some(&count) = fitting {
+            self.remaining = self.remaining.saturating_sub(u64::from(count));
+            self.record(candidate, count, self.availability(candidate));
+        }
+    }
+
+    fn availability(&self, candidate: &Candidate) -> Availability {
+        self.scene[candidate.octree as usize].1.availability(candidate.node)
+    }
+
+    fn record(&mut self, candidate: &Candidate, count: u32, availability: Availability) {
+        let (octree, node) = (candidate.octree as usize, candidate.node);
+        let cut = &mut self.cuts[octree];
+        match availability {
+            Availability::Resident => {
+                cut.counters.nodes_drawn += 1;
+                cut.counters.points_drawn += u64::from(count);
+                cut.draw.push(DrawNode { node, count, splat_level: 0 });
+                self.wanted[octree].push(0);
+            }
+            Availability::Absent => {
+                cut.counters.nodes_requested += 1;
+                cut.counters.points_requested += u64::from(count);
+                cut.requests.push(Request { node, count, priority_px: candidate.priority_px });
+            }
+            Availability::Failed => cut.counters.nodes_failed += 1,
+        }
+    }
+
+    fn roots(&mut self, mut push: impl FnMut(Candidate)) {
+        for (i, (octree, _)) in self.scene.iter().enumerate() {
+            if octree.nodes().is_empty() {
+                continue;
+            }
+            let cell = self.spaces[i].descent.root();
+            if let Some(root) = self.consider(i as u32, NodeId::ROOT, cell, false, false) {
+                push(root);
+            }
+        }
+    }
+
+    fn children(&mut self, parent: &Candidate, drawn: bool, mut push: impl FnMut(Candidate)) {
+        let octree = self.scene[parent.octree as usize].0;
+        let node = octree.node(parent.node);
+        let ancestor = drawn || parent.has_drawn_ancestor;
+        let mut wanted = 0;
+        let octants = (0..8usize).filter(|o| node.child_mask >> o & 1 == 1);
+        for (octant, child) in octants.zip(node.children()) {
+            let descent = &self.spaces[parent.octree as usize].descent;
+            let cell = descent.child(&parent.cell, node.depth + 1, octant);
+            let candidate =
+                self.consider(parent.octree, child, cell, parent.wholly_inside, ancestor);
+            if let Some(candidate) = candidate {
+                wanted |= 1 << octant;
+                push(candidate);
+            }
+        }
+        if drawn {
+            let masks = &mut self.wanted[parent.octree as usize];
+            *masks.last_mut().expect("the parent was drawn last") = wanted;
+        }
+    }
+
+    /// A node as a candidate, unless it is out of sight or what is drawn there is fine enough.
+    fn consider(
+        &mut self,
+        octree_index: u32,
+        id: NodeId,
+        cell: ClipCell,
+        mut wholly_inside: bool,
+        has_drawn_ancestor: bool,
+    ) -> Option<Candidate> {
+        let octree = self.scene[octree_index as usize].0;
+        let space = &self.spaces[octree_index as usize];
+        let node = octree.node(id);
+        self.cuts[octree_index as usize].counters.nodes_visited += 1;
+        if self.settings.cull_frustum && !wholly_inside {
+            match space.descent.test(&cell, node.depth) {
+                Containment::Outside => {
+                    self.cuts[octree_index as usize].counters.nodes_culled += 1;
+                    return None;
+                }
+                Containment::Inside => wholly_inside = true,
+                Containment::Partial => {}
+            }
+        }
+        let bounds = space.cell_box(node);
+        let distance = bounds.distance(DVec3::ZERO);
+        let focal_px = self.view.focal_px();
+        let coarsest_px = self.cell_px(&bounds, distance, octree.cell_size(node.depth));
+        let finest_px = coarsest_px * (-f64::from(octree.depth())).exp2();
+        let judged_px = match self.settings.rule.cell {
+            RuleCell::Own => finest_px,
+            RuleCell::Parent => 2.0 * finest_px,
+        };
+        if has_drawn_ancestor && judged_px <= self.settings.error_px {
+            self.cuts[octree_index as usize].counters.nodes_fine_enough += 1;
+            return None;
+        }
+        let level = required_level(coarsest_px, self.settings.error_px, octree.depth());
+        let edge = octree.cell_size(node.depth).max_element();
+        let priority_px = match distance > 0.0 {
+            true => projected_px(edge, distance.max(self.view.camera.near), focal_px),
+            false => f64::INFINITY,
+        };
+        Some(Candidate {
+            priority_px: if priority_px.is_nan() { 0.0 } else { priority_px },
+            depth: node.depth,
+            octree: octree_index,
+            node: id,
+            count: node.levels.prefix_len(level),
+            has_drawn_ancestor,
+            wholly_inside,
+            cell,
+        })
+    }
+
+    /// Size on screen of a cell within a node's box, as the rule judges it, pixels.
+    fn cell_px(&self, bounds: &Aabb, distance: f64, cell_size: DVec3) -> f64 {
+        let rule = &self.settings.rule;
+        let cosine = match rule.off_axis {
+            true => off_axis_cosine(self.view, bounds.center(), 0.5 * bounds.diagonal()),
+            false => 1.0,
+        };
+        projected_px(rule.span(cell_size), distance * cosine * cosine, self.view.focal_px())
+    }
+}

@@ -1,0 +1,217 @@
+//! How large points are drawn: the splat level of each drawn node, and the table through which a
+//! point finds the deepest drawn node around it.
+//!
+//! A point's splat covers the cell of the finest level drawn around it, so that what is not drawn
+//! (not loaded yet, or beyond the budget) leaves larger splats instead of gaps. The four policies
+//! differ in whether one size per node answers for all of its octants.
+//!
+//! Units: global levels (outer depth plus level within the node), pixels on screen.
+//! After: the Instant Points chapter, 6.5.3; the variants but `Paper` are ours.
+
+use crate::ids::NodeId;
+use crate::octree::Octree;
+use crate::select::cut::Cut;
+
+/// Which drawn level sets the size of a point's splat.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum SplatPolicy {
+    /// The node's own finest: no gaps, blurred where children are drawn, most pixels touched.
+    Own,
+    /// The deepest drawn descendant without a missing child, literally as the paper says. Octants
+    /// that are less deep show gaps.
+    Paper,
+    /// The node's own if any wanted child is not drawn, else the coarsest of its children's.
+    Conservative,
+    /// Of the deepest drawn node around each point: as sharp as what is drawn there allows.
+    #[default]
+    PerPoint,
+}
+
+impl SplatPolicy {
+    /// All policies.
+    pub const ALL: [SplatPolicy; 4] =
+        [SplatPolicy::Own, SplatPolicy::Paper, SplatPolicy::Conservative, SplatPolicy::PerPoint];
+
+    /// The policy in words, for options, tables and plots.
+    pub fn name(self) -> &'static str {
+        match self {
+            SplatPolicy::Own => "own",
+            SplatPolicy::Paper => "paper",
+            SplatPolicy::Conservative => "conservative",
+            SplatPolicy::PerPoint => "per-point",
+        }
+    }
+}
+
+/// How large the points are drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SplatSettings {
+    /// Which drawn level sets the size.
+    pub policy: SplatPolicy,
+    /// Factor on the size, 0.5..=4, default 1. Larger closes gaps of sparse data and blurs.
+    pub multiplier: f64,
+    /// Largest size, pixels, default 24. Smaller bounds the cost of near views and shows gaps there.
+    pub max_px: f64,
+}
+
+impl Default for SplatSettings {
+    fn default() -> Self {
+        SplatSettings { policy: SplatPolicy::default(), multiplier: 1.0, max_px: 24.0 }
+    }
+}
+
+/// Edge on screen, pixels, of a splat for a cell edge `cell_edge` at view depth `depth`.
+pub fn splat_size_px(settings: &SplatSettings, cell_edge: f64, depth: f64, focal_px: f64) -> f64 {
+    (settings.multiplier * cell_edge * focal_px / depth).min(settings.max_px).max(1.0)
+}
+
+/// One drawn node in the table that is sorted by node id.
+///
+/// The drawn children of a node stand in consecutive rows, in octant order: the child in octant
+/// `o` is in row `first_drawn_child + (bits of child_drawn_mask below o)`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DrawnRow {
+    /// The node.
+    pub node: NodeId,
+    /// Its place in [`Cut::draw`].
+    pub draw: u32,
+    /// Finest global level drawn throughout its cell: by itself, or by an ancestor if only some of
+    /// its levels are drawn.
+    pub level: u32,
+    /// Row of the first drawn child; 0 if none.
+    pub first_drawn_child: u32,
+    /// Bit `o` is set if the child in octant `o` is drawn.
+    pub child_drawn_mask: u8,
+}
+
+impl DrawnRow {
+    /// Row of the drawn child in `octant`.
+    pub fn drawn_child(&self, octant: usize) -> Option<usize> {
+        let below = self.child_drawn_mask & ((1u8 << octant) - 1);
+        (self.child_drawn_mask >> octant & 1 == 1)
+            .then(|| (self.first_drawn_child + below.count_ones()) as usize)
+    }
+}
+
+/// Memory that linking reuses.
+#[derive(Debug, Default)]
+pub(super) struct Scratch {
+    /// Per node of the octree: its row, or `NO_ROW`.
+    row_of_node: Vec<u32>,
+    /// Per row: octants whose child was asked for.
+    requested: Vec<u8>,
+    /// Per row: the splat level under construction.
+    levels: Vec<u32>,
+}
+
+const NO_ROW: u32 = u32::MAX;
+
+/// Fills `cut.table` and the splat level of each drawn node.
+///
+/// `wanted` holds, per drawn node, the octants whose child the view wants.
+pub(super) fn link(
+    octree: &Octree,
+    cut: &mut Cut,
+    wanted: &[u8],
+    policy: SplatPolicy,
+    scratch: &mut Scratch,
+) {
+    build_table(octree, cut, scratch);
+    let rows = &cut.table;
+    scratch.levels.clear();
+    scratch.levels.extend(rows.iter().map(|row| row.level));
+    match policy {
+        SplatPolicy::Own | SplatPolicy::PerPoint => {}
+        SplatPolicy::Paper => {
+            mark_requested(octree, cut, scratch);
+            deepest_complete(&cut.table, scratch);
+        }
+        SplatPolicy::Conservative => coarsest_complete(rows, wanted, &mut scratch.levels),
+    }
+    for (row, &level) in cut.table.iter().zip(&scratch.levels) {
+        cut.draw[row.draw as usize].splat_level = level;
+    }
+    for row in &cut.table {
+        scratch.row_of_node[row.node.index()] = NO_ROW;
+    }
+}
+
+fn build_table(octree: &Octree, cut: &mut Cut, scratch: &mut Scratch) {
+    let depths = cut.draw.iter().enumerate().map(|(i, drawn)| {
+        let node = octree.node(drawn.node);
+        let totals = node.levels.totals();
+        let levels = totals.partition_point(|&total| total <= drawn.count) as u32;
+        let level = node.depth + levels.saturating_sub(1);
+        DrawnRow { node: drawn.node, draw: i as u32, level, ..DrawnRow::default() }
+    });
+    cut.table.clear();
+    cut.table.extend(depths);
+    cut.table.sort_unstable_by_key(|row| row.node);
+
+    if scratch.row_of_node.len() < octree.nodes().len() {
+        scratch.row_of_node.resize(octree.nodes().len(), NO_ROW);
+    }
+    for row in 0..cut.table.len() {
+        let id = cut.table[row].node;
+        scratch.row_of_node[id.index()] = row as u32;
+        let Some(parent) = drawn_parent(octree, id, scratch) else { continue };
+        let parent_row = &mut cut.table[parent];
+        if parent_row.child_drawn_mask == 0 {
+            parent_row.first_drawn_child = row as u32;
+        }
+        parent_row.child_drawn_mask |= 1 << octant(octree, id);
+        let level = parent_row.level;
+        cut.table[row].level = cut.table[row].level.max(level);
+    }
+}
+
+/// Row of a node's parent, if it is drawn.
+fn drawn_parent(octree: &Octree, id: NodeId, scratch: &Scratch) -> Option<usize> {
+    let parent = octree.node(id).parent?;
+    let row = scratch.row_of_node[parent.index()];
+    (row != NO_ROW).then_some(row as usize)
+}
+
+/// Octant of a node within its parent.
+fn octant(octree: &Octree, id: NodeId) -> usize {
+    let cell = octree.node(id).cell & 1;
+    (cell.x | cell.y << 1 | cell.z << 2) as usize
+}
+
+fn mark_requested(octree: &Octree, cut: &Cut, scratch: &mut Scratch) {
+    scratch.requested.clear();
+    scratch.requested.resize(cut.table.len(), 0);
+    for request in &cut.requests {
+        if let Some(parent) = drawn_parent(octree, request.node, scratch) {
+            scratch.requested[parent] |= 1 << octant(octree, request.node);
+        }
+    }
+}
+
+/// `Paper`: the finest level of any node below (or the node itself) that misses no child.
+fn deepest_complete(rows: &[DrawnRow], scratch: &mut Scratch) {
+    let Scratch { requested, levels, .. } = scratch;
+    for (i, row) in rows.iter().enumerate().rev() {
+        let complete_below = drawn_children(row).filter(|&child| requested[child] == 0);
+        if let Some(level) = complete_below.map(|child| levels[child]).max() {
+            levels[i] = level;
+            // From above, a node counts as complete if one below it does.
+            requested[i] = 0;
+        }
+    }
+}
+
+/// `Conservative`: a node's own level if a wanted child is not drawn, else the coarsest below.
+fn coarsest_complete(rows: &[DrawnRow], wanted: &[u8], levels: &mut [u32]) {
+    for (i, row) in rows.iter().enumerate().rev() {
+        if wanted[row.draw as usize] & !row.child_drawn_mask == 0 {
+            let coarsest = drawn_children(row).map(|child| levels[child]).min();
+            levels[i] = coarsest.unwrap_or(row.level);
+        }
+    }
+}
+
+fn drawn_children(row: &DrawnRow) -> std::ops::Range<usize> {
+    let first = row.first_drawn_child as usize;
+    first..first + row.child_drawn_mask.count_ones() as usize
+}

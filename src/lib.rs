@@ -2,8 +2,11 @@
 //!
 //! `ARCHITECTURE.md` tells how the rooms fit; `FORMAT.md` gives the store byte by byte.
 
+pub mod build;
+pub mod commands;
 pub mod geometry;
 pub mod ids;
+pub mod input;
 pub mod octree;
 pub mod points;
 pub mod select;

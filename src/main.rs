@@ -1,3 +1,7 @@
 //! The `esker` program: arguments to one command.
 
-fn main() {}
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    esker::commands::main()
+}

@@ -30,6 +30,10 @@ pub trait MortonKey: Copy + Ord + Send + Sync + Debug + Hash + Default + 'static
     fn local(self, bits: u32) -> Self;
     /// The low 64 bits.
     fn low_u64(self) -> u64;
+    /// The code in the widest type.
+    fn widen(self) -> u128;
+    /// The inverse of [`widen`](Self::widen) for codes that fit.
+    fn narrow(wide: u128) -> Self;
 }
 
 impl MortonKey for u64 {
@@ -56,6 +60,12 @@ impl MortonKey for u64 {
     }
     fn low_u64(self) -> u64 {
         self
+    }
+    fn widen(self) -> u128 {
+        u128::from(self)
+    }
+    fn narrow(wide: u128) -> Self {
+        wide as u64
     }
 }
 
@@ -87,6 +97,12 @@ impl MortonKey for u128 {
     }
     fn low_u64(self) -> u64 {
         self as u64
+    }
+    fn widen(self) -> u128 {
+        self
+    }
+    fn narrow(wide: u128) -> Self {
+        wide
     }
 }
 

@@ -1,0 +1,68 @@
+//! Why a conversion stopped.
+
+use std::io;
+use std::path::PathBuf;
+
+use crate::input::LasError;
+use crate::store::StoreError;
+
+/// A conversion failed; nothing is left under the output's name.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum BuildError {
+    /// An input file is bad.
+    #[error(transparent)]
+    Input(#[from] LasError),
+    /// The store could not be written.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// Nothing to convert.
+    #[error("no scan files among the inputs")]
+    NoInput,
+    /// Inputs that cannot stand in one store.
+    #[error("{path}: {reason}", path = path.display())]
+    Mixed {
+        /// Why not.
+        reason: String,
+        /// The file that does not fit the first.
+        path: PathBuf,
+    },
+    /// Points lie too far apart for 32 bits per axis on their lattice.
+    #[error("{path}: points span {steps} lattice steps along one axis, at most 4294967296 fit", path = path.display())]
+    TooWide {
+        /// Extent of all points.
+        steps: i128,
+        /// The file with which it was exceeded.
+        path: PathBuf,
+    },
+    /// Temporary files could not be written or read back.
+    #[error("{path}: {action}: {source}", path = path.display())]
+    Temporary {
+        /// What was being done.
+        action: &'static str,
+        /// The system's reason.
+        source: io::Error,
+        /// The folder of temporary files.
+        path: PathBuf,
+    },
+    /// The memory cap leaves no room to work.
+    #[error("a memory cap of {cap} bytes is too small; {needed} bytes are needed at least")]
+    MemoryCap {
+        /// What was asked for.
+        cap: u64,
+        /// The least that works for these points.
+        needed: u64,
+    },
+    /// The output exists and may not be replaced.
+    #[error("{path}: exists already (--overwrite replaces it)", path = path.display())]
+    Exists {
+        /// The output.
+        path: PathBuf,
+    },
+    /// Points of a later pass are not those of the first.
+    #[error("an input file changed while it was being read")]
+    Changed,
+    /// The user stopped it.
+    #[error("interrupted")]
+    Interrupted,
+}

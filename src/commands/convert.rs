@@ -1,0 +1,116 @@
+//! `esker convert`: scan files into one store.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use clap::Args;
+
+use crate::build::{self, ConvertOptions, DEPTH_RANGE, Representative};
+use crate::commands::inputs;
+use crate::commands::progress::{ProgressKind, listener};
+use crate::commands::quantities::{parse_bytes, show_bytes};
+use crate::metrics::peak_rss_bytes;
+
+/// Arguments of `esker convert`.
+#[derive(Debug, Args)]
+pub struct ConvertArgs {
+    /// Scans: files, folders or patterns
+    #[arg(required = true)]
+    inputs: Vec<PathBuf>,
+    /// The store to write
+    #[arg(short, long, value_name = "OUT.esker")]
+    output: PathBuf,
+    /// Most memory to use, such as 4GiB [default: half of what there is]
+    #[arg(long, value_parser = parse_bytes)]
+    memory: Option<u64>,
+    /// Worker threads [default: one per core]
+    #[arg(long, default_value_t = 0, hide_default_value = true)]
+    threads: usize,
+    /// Folder of temporary files [default: the output's]
+    #[arg(long)]
+    temp_dir: Option<PathBuf>,
+    /// Replace an existing store
+    #[arg(long)]
+    overwrite: bool,
+    /// Levels within a node beyond its coarsest
+    #[arg(long, default_value_t = 7, value_parser = clap::value_parser!(u32)
+        .range(*DEPTH_RANGE.start() as i64..=*DEPTH_RANGE.end() as i64))]
+    depth: u32,
+    /// Fewest points that make a child node
+    #[arg(long, default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..))]
+    threshold: u32,
+    /// Which point of a cell stands for it
+    #[arg(long, value_enum, default_value_t)]
+    representative: Representative,
+    /// How progress is shown on standard error
+    #[arg(long, value_enum, default_value = "bar")]
+    progress: ProgressKind,
+    /// Print one JSON object at the end
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+pub fn run(args: ConvertArgs) -> anyhow::Result<ExitCode> {
+    let began = Instant::now();
+    let files = inputs::expand(&args.inputs)?;
+    let mut options = ConvertOptions {
+        threads: args.threads,
+        temp_dir: args.temp_dir,
+        overwrite: args.overwrite,
+        depth: args.depth,
+        threshold: args.threshold,
+        representative: args.representative,
+        ..ConvertOptions::default()
+    };
+    if let Some(memory) = args.memory {
+        options.memory_bytes = memory;
+    }
+    let progress = listener(args.progress);
+    let cancelled = cancelled_by_signal();
+    let report = build::convert(&files, &args.output, &options, &*progress, &cancelled)?;
+    drop(progress);
+    for warning in &report.warnings {
+        eprintln!("esker: {warning}");
+    }
+    let seconds = began.elapsed().as_secs_f64();
+    let peak = peak_rss_bytes();
+    if args.json {
+        let mut json = serde_json::to_value(&report)?;
+        let more = serde_json::json!({
+            "seconds": seconds,
+            "points_per_second": report.points as f64 / seconds,
+            "memory_bytes": options.memory_bytes,
+            "peak_rss_bytes": peak,
+            "output": args.output,
+        });
+        if let (Some(object), serde_json::Value::Object(more)) = (json.as_object_mut(), more) {
+            object.extend(more);
+        }
+        println!("{json}");
+    } else {
+        println!(
+            "{}: {} points in {} nodes, {} ({:.2} bytes a point), {seconds:.2} s, {:.2} M points/s{}",
+            args.output.display(),
+            report.points,
+            report.nodes,
+            show_bytes(report.output_bytes),
+            report.output_bytes as f64 / report.points.max(1) as f64,
+            report.points as f64 / seconds / 1e6,
+            peak.map_or(String::new(), |peak| format!(", at most {} of memory", show_bytes(peak))),
+        );
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// A flag that SIGINT, SIGTERM and SIGHUP set.
+fn cancelled_by_signal() -> Arc<AtomicBool> {
+    let cancelled = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&cancelled);
+    // Fails only if a handler is there already, and then that one serves.
+    let _ = ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed));
+    cancelled
+}

@@ -1,0 +1,139 @@
+//! `esker info`: the facts of scans and stores, without reading their points.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use clap::Args;
+use serde_json::{Value, json};
+
+use crate::commands::quantities::show_bytes;
+use crate::input::LasScan;
+use crate::store::{MAGIC, Store};
+
+/// Arguments of `esker info`.
+#[derive(Debug, Args)]
+pub struct InfoArgs {
+    /// Stores or scans
+    #[arg(required = true)]
+    files: Vec<PathBuf>,
+    /// Print one JSON object per file
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+pub fn run(args: InfoArgs) -> anyhow::Result<ExitCode> {
+    for path in &args.files {
+        let facts = if is_store(path) { store_facts(path)? } else { scan_facts(path)? };
+        if args.json {
+            println!("{facts}");
+        } else {
+            print_facts(&facts);
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Whether a file begins as a store does. What cannot be read is for its reader to refuse.
+pub fn is_store(path: &Path) -> bool {
+    let mut head = [0; MAGIC.len()];
+    let begins = File::open(path).and_then(|mut file| file.read_exact(&mut head));
+    begins.is_ok() && head == MAGIC
+}
+
+fn store_facts(path: &Path) -> anyhow::Result<Value> {
+    let store = Store::open(path)?;
+    let (metadata, octree) = (store.metadata(), store.octree());
+    let bounds = metadata.bounds();
+    let levels = octree.nodes().last().map_or(0, |node| node.depth + 1);
+    let mut nodes_per_level = vec![0u64; levels as usize];
+    let mut points_per_level = vec![0u64; levels as usize];
+    for node in octree.nodes() {
+        nodes_per_level[node.depth as usize] += 1;
+        points_per_level[node.depth as usize] += u64::from(node.point_count());
+    }
+    let attributes: Vec<Value> = metadata
+        .schema
+        .attributes
+        .iter()
+        .enumerate()
+        .map(|(i, attribute)| {
+            let ranges = metadata.attribute_ranges.get(i);
+            json!({
+                "name": attribute.name, "type": attribute.scalar,
+                "components": attribute.components,
+                "min": ranges.map(|r| r.iter().map(|range| range.min).collect::<Vec<_>>()),
+                "max": ranges.map(|r| r.iter().map(|range| range.max).collect::<Vec<_>>()),
+            })
+        })
+        .collect();
+    let file_bytes = store.header().file_bytes;
+    Ok(json!({
+        "file": path, "format": "esker", "points": metadata.points,
+        "bounds": (metadata.points > 0)
+            .then(|| json!({"min": bounds.min.to_array(), "max": bounds.max.to_array()})),
+        "scale": metadata.scale, "offset": metadata.offset,
+        "epsg": metadata.crs.epsg, "wkt": metadata.crs.wkt,
+        "attributes": attributes, "color_bits": metadata.color_bits,
+        "levels": levels, "nodes": octree.nodes().len(),
+        "nodes_per_level": nodes_per_level, "points_per_level": points_per_level,
+        "levels_in_node": metadata.depth + 1, "threshold": metadata.threshold,
+        "overflow_points": metadata.overflow_points,
+        "file_bytes": file_bytes,
+        "bytes_per_point": file_bytes as f64 / metadata.points.max(1) as f64,
+        "sources": metadata.sources, "generator": metadata.generator,
+    }))
+}
+
+fn scan_facts(path: &Path) -> anyhow::Result<Value> {
+    let scan = LasScan::open(path)?;
+    let mut facts = serde_json::to_value(scan.facts())?;
+    let more = json!({
+        "file": path,
+        "attributes": scan.schema().attributes.iter().map(|attribute| json!({
+            "name": attribute.name, "type": attribute.scalar, "components": attribute.components,
+        })).collect::<Vec<_>>(),
+        "bytes_per_point": scan.facts().file_bytes as f64 / scan.facts().points.max(1) as f64,
+    });
+    if let (Some(facts), Value::Object(more)) = (facts.as_object_mut(), more) {
+        facts.extend(more);
+    }
+    Ok(facts)
+}
+
+/// Prints one line per fact, lists of objects one line per object.
+fn print_facts(facts: &Value) {
+    let Some(object) = facts.as_object() else { return };
+    let file = object.get("file").and_then(Value::as_str).unwrap_or_default();
+    println!("{file}");
+    for (name, value) in object {
+        let name = name.replace('_', " ");
+        match value {
+            Value::Null => {}
+            _ if name == "file" => {}
+            Value::Number(bytes) if name == "file bytes" => {
+                println!("  {name}: {bytes} ({})", show_bytes(bytes.as_u64().unwrap_or(0)));
+            }
+            Value::Array(items) if items.iter().any(Value::is_object) => {
+                println!("  {name}:");
+                items.iter().for_each(|item| println!("    {}", one_line(item)));
+            }
+            Value::Object(_) => println!("  {name}: {}", one_line(value)),
+            Value::String(text) => println!("  {name}: {text}"),
+            other => println!("  {name}: {other}"),
+        }
+    }
+}
+
+fn one_line(value: &Value) -> String {
+    let Some(object) = value.as_object() else { return value.to_string() };
+    let show = |value: &Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+    let parts: Vec<String> = object
+        .iter()
+        .filter(|(_, value)| !value.is_null())
+        .map(|(name, value)| format!("{} {}", name.replace('_', " "), show(value)))
+        .collect();
+    parts.join(", ")
+}

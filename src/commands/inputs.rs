@@ -1,0 +1,64 @@
+//! Files, folders and patterns from the command line into a list of scan files.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+
+/// Suffixes of files that a folder contributes.
+const SCAN_SUFFIXES: [&str; 2] = ["las", "laz"];
+
+/// The scan files that arguments name, in the order given; those of a folder or a pattern sorted
+/// by name. A folder counts with all folders in it; only its scan files count.
+pub fn expand(arguments: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
+    let mut files = Vec::new();
+    for argument in arguments {
+        if argument.is_dir() {
+            let before = files.len();
+            collect_folder(argument, &mut files)
+                .with_context(|| format!("{}: cannot list the folder", argument.display()))?;
+            if files.len() == before {
+                bail!("{}: no .las or .laz file in this folder", argument.display());
+            }
+            files[before..].sort();
+        } else if argument.exists() {
+            files.push(argument.clone());
+        } else {
+            files.extend(expand_pattern(argument)?);
+        }
+    }
+    Ok(files)
+}
+
+fn collect_folder(folder: &Path, files: &mut Vec<PathBuf>) -> std::io::Result<()> {
+    for entry in std::fs::read_dir(folder)? {
+        let entry = entry?;
+        let path = entry.path();
+        // Links are not followed into folders, so a circle of links ends.
+        if entry.file_type()?.is_dir() {
+            collect_folder(&path, files)?;
+        } else if is_scan(&path) {
+            files.push(path);
+        }
+    }
+    Ok(())
+}
+
+fn expand_pattern(pattern: &Path) -> anyhow::Result<Vec<PathBuf>> {
+    let text = pattern.to_string_lossy();
+    let is_pattern = text.contains(['*', '?', '[']);
+    let matches: Vec<PathBuf> = match glob::glob(&text) {
+        Ok(paths) if is_pattern => paths.flatten().filter(|path| path.is_file()).collect(),
+        _ => Vec::new(),
+    };
+    if matches.is_empty() {
+        let what = if is_pattern { "no file matches" } else { "no such file or folder" };
+        bail!("{}: {what}", pattern.display());
+    }
+    Ok(matches)
+}
+
+/// Whether a file's name says that it is a scan this program converts.
+pub fn is_scan(path: &Path) -> bool {
+    let suffix = path.extension().and_then(|suffix| suffix.to_str()).map(str::to_ascii_lowercase);
+    suffix.is_some_and(|suffix| SCAN_SUFFIXES.contains(&suffix.as_str()))
+}

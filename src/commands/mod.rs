@@ -1,0 +1,60 @@
+//! The commands of the `esker` program: arguments in, exit code out.
+//!
+//! Results go to standard output, messages to standard error. Exit codes: 0 done; 1 the input or a
+//! store is bad or the run failed, with one line that says why; 2 wrong usage; 130 interrupted.
+
+mod check;
+mod convert;
+mod info;
+mod inputs;
+mod progress;
+mod quantities;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+use crate::build::BuildError;
+
+/// Scans into a nested octree of point trees on disk, and pictures out of it.
+#[derive(Debug, Parser)]
+#[command(name = "esker", version, max_term_width = 100)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Convert scans into one store
+    Convert(convert::ConvertArgs),
+    /// Tell a scan's or a store's facts
+    Info(info::InfoArgs),
+    /// Read every byte of a store and verify it
+    Check(check::CheckArgs),
+}
+
+/// Runs the program on its command line.
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let outcome = match cli.command {
+        Command::Convert(args) => convert::run(args),
+        Command::Info(args) => info::run(args),
+        Command::Check(args) => check::run(args),
+    };
+    match outcome {
+        Ok(code) => code,
+        Err(error) if is_interruption(&error) => {
+            eprintln!("esker: interrupted");
+            ExitCode::from(130)
+        }
+        Err(error) => {
+            eprintln!("esker: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn is_interruption(error: &anyhow::Error) -> bool {
+    matches!(error.downcast_ref(), Some(BuildError::Interrupted))
+}

@@ -4,6 +4,7 @@
 
 pub mod geometry;
 pub mod ids;
+pub mod input;
 pub mod octree;
 pub mod points;
 pub mod select;

@@ -7,6 +7,7 @@ pub mod commands;
 pub mod geometry;
 pub mod ids;
 pub mod input;
+pub mod metrics;
 pub mod octree;
 pub mod points;
 pub mod select;

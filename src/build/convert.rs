@@ -53,7 +53,11 @@ pub fn convert(
     progress: &dyn Progress,
     cancelled: &AtomicBool,
 ) -> Result<ConvertReport, BuildError> {
-    assert!(DEPTH_RANGE.contains(&options.depth), "depth {} is not in {DEPTH_RANGE:?}", options.depth);
+    assert!(
+        DEPTH_RANGE.contains(&options.depth),
+        "depth {} is not in {DEPTH_RANGE:?}",
+        options.depth
+    );
     if output.exists() && !options.overwrite {
         return Err(BuildError::Exists { path: output.into() });
     }
@@ -100,7 +104,8 @@ impl Conversion<'_> {
         let sources = Sources::open(inputs)?;
         let schema = sources.schema();
         // In memory a point is its record and a sort entry, and its encoded bytes wait, too.
-        let held_bytes = |entry: usize| (1.4 * f64::from(schema.record_bytes)) as u64 + entry as u64;
+        let held_bytes =
+            |entry: usize| (1.4 * f64::from(schema.record_bytes)) as u64 + entry as u64;
         let fits = sources.expected_points().saturating_mul(held_bytes(size_of::<Entry<u128>>()))
             <= self.share(POINT_SHARE + NODE_SHARE)
             && sources.expected_points() <= u64::from(u32::MAX);
@@ -190,8 +195,7 @@ impl Conversion<'_> {
         let schema = sources.schema();
         let mut survey = Survey::empty();
         let mut points_of_source = vec![0u64; sources.scans().len()];
-        let mut held =
-            hold.then(|| HeldPoints { records: Vec::new(), source_starts: Vec::new() });
+        let mut held = hold.then(|| HeldPoints { records: Vec::new(), source_starts: Vec::new() });
         let mut spooled = (!hold && sources.are_compressed()).then(|| {
             let mut file = SpillFile::new(&self.temp_dir(), 1 << 20);
             let stream = file.add_stream();
@@ -234,6 +238,10 @@ impl Conversion<'_> {
         first: FirstPass,
     ) -> Result<Built, BuildError> {
         let node_memory = self.share(NODE_SHARE) as usize;
+        let stages: &[Stage] = match first.held {
+            Some(_) => &[Stage::Build],
+            None => &[Stage::Count, Stage::Partition, Stage::Build],
+        };
         let collected = Mutex::new(Built {
             writer: StoreWriter::new(&self.temp_dir(), node_memory),
             ranges: Vec::new(),
@@ -242,18 +250,22 @@ impl Conversion<'_> {
             temporary_bytes: 0,
         });
         let overflow = AtomicU64::new(0);
+        let progress = StagedProgress::new(self.progress, stages, first.survey.points);
         let sink = |finished: FinishedNode| -> Result<(), BuildError> {
+            let points = u64::from(finished.node.levels.point_count());
             let mut built = collected.lock().expect("no holder of the lock panics");
             join_ranges(&mut built.ranges, &finished.ranges);
             built.nodes += 1;
-            Ok(built.writer.add(finished.node)?)
+            built.writer.add(finished.node)?;
+            drop(built);
+            progress.advance(points);
+            Ok(())
         };
         let FirstPass { survey, points_of_source, held, spooled } = first;
         let mut temporary_bytes = 0;
         if survey.points == 0 {
             // No nodes; the store says so.
         } else if let Some(held) = held {
-            self.progress.begin(Stage::Build, survey.points);
             let rows = Rows::consecutive(&held.records, sources.schema(), 0);
             let mut entries = Vec::new();
             for (source, &start) in held.source_starts.iter().enumerate() {
@@ -261,15 +273,23 @@ impl Conversion<'_> {
                 let origin = origin_of(sources, source, &survey);
                 let batch = RowBatch { rows, origin: Some(origin) };
                 entries.par_extend(
-                    rows_of_source.into_par_iter().map(|row| Entry { key: batch.key::<K>(row), row }),
+                    rows_of_source
+                        .into_par_iter()
+                        .map(|row| Entry { key: batch.key::<K>(row), row }),
                 );
             }
             Subtree::sort(&mut entries);
             Subtree { rules, rows, sink: &sink, overflow: &overflow }.grow(0, &mut entries)?;
-            self.progress.advance(survey.points);
         } else {
             temporary_bytes = self.build_out_of_core::<K>(
-                sources, rules, &survey, &points_of_source, spooled, &sink, &overflow,
+                sources,
+                rules,
+                &survey,
+                &points_of_source,
+                spooled,
+                &sink,
+                &overflow,
+                &progress,
             )?;
         }
         let mut built = collected.into_inner().expect("no holder of the lock panics");
@@ -288,6 +308,7 @@ impl Conversion<'_> {
         spooled: Option<(SpillFile, StreamId)>,
         sink: crate::build::subtree::NodeSink,
         overflow: &AtomicU64,
+        progress: &dyn Progress,
     ) -> Result<u64, BuildError> {
         let row_bytes = INDEX_BYTES as u64 + u64::from(sources.schema().record_bytes);
         // A region is its rows, its sort entries, and the nodes being put together from them.
@@ -301,15 +322,8 @@ impl Conversion<'_> {
         let streams = 8 * (survey.points / max_points + 1);
         let tail = (self.share(TAIL_SHARE) / streams).clamp(4 << 10, 1 << 20) as usize;
         let mut spill = SpillFile::new(&self.temp_dir(), tail);
-        let progress = OutOfCoreProgress::new(self.progress, survey.points);
-        let builder = OutOfCore {
-            rules,
-            schema: sources.schema(),
-            max_points,
-            sink,
-            overflow,
-            progress: &progress,
-        };
+        let builder =
+            OutOfCore { rules, schema: sources.schema(), max_points, sink, overflow, progress };
         let schema = sources.schema();
         let mut written = 0;
         if let Some((mut spool, stream)) = spooled {
@@ -426,22 +440,22 @@ impl RowSource for SpooledRows<'_> {
     }
 }
 
-/// Splits the passes of an out-of-core build into its stages: every point is counted, then
-/// partitioned, then built.
-struct OutOfCoreProgress<'a> {
+/// Turns a running count of points into stages that each pass over all of them.
+struct StagedProgress<'a> {
     inner: &'a dyn Progress,
+    stages: &'a [Stage],
     points: u64,
     done: AtomicU64,
 }
 
-impl<'a> OutOfCoreProgress<'a> {
-    fn new(inner: &'a dyn Progress, points: u64) -> Self {
-        inner.begin(Stage::Count, points);
-        OutOfCoreProgress { inner, points, done: AtomicU64::new(0) }
+impl<'a> StagedProgress<'a> {
+    fn new(inner: &'a dyn Progress, stages: &'a [Stage], points: u64) -> Self {
+        inner.begin(stages[0], points);
+        StagedProgress { inner, stages, points, done: AtomicU64::new(0) }
     }
 }
 
-impl Progress for OutOfCoreProgress<'_> {
+impl Progress for StagedProgress<'_> {
     fn begin(&self, stage: Stage, total: u64) {
         self.inner.begin(stage, total);
     }
@@ -449,10 +463,10 @@ impl Progress for OutOfCoreProgress<'_> {
     fn advance(&self, points: u64) {
         let before = self.done.fetch_add(points, Ordering::Relaxed);
         self.inner.advance(points);
-        for (pass, stage) in [(1, Stage::Partition), (2, Stage::Build)] {
+        for (pass, stage) in (1..).zip(&self.stages[1..]) {
             let threshold = pass * self.points;
             if before < threshold && before + points >= threshold {
-                self.inner.begin(stage, self.points);
+                self.inner.begin(*stage, self.points);
             }
         }
     }

@@ -83,8 +83,7 @@ pub fn encode_node<K: MortonKey>(
         ranges[i] = value_ranges(attribute, &column);
     }
     let levels = LevelIndex::new(totals).expect("level totals of a node rise from 1");
-    let node =
-        EncodedNode { depth: grid.depth, cell: cell.into(), levels, tight, sections, bytes };
+    let node = EncodedNode { depth: grid.depth, cell: cell.into(), levels, tight, sections, bytes };
     FinishedNode { node, ranges }
 }
 
@@ -112,7 +111,9 @@ fn record_colors<'a>(
     schema: &Schema,
 ) -> impl Iterator<Item = [u16; 3]> + use<'a> {
     let offset = color_offset(schema).expect("colour sections exist only with colour");
-    records.chunks_exact(schema.record_bytes as usize).map(move |record| read_color(&record[offset..]))
+    records
+        .chunks_exact(schema.record_bytes as usize)
+        .map(move |record| read_color(&record[offset..]))
 }
 
 fn push_colors(records: &[u8], encoding: &Encoding, column: &mut Vec<u8>) {
@@ -130,7 +131,12 @@ fn push_low_colors(records: &[u8], encoding: &Encoding, column: &mut Vec<u8>) {
     }
 }
 
-fn push_attribute(records: &[u8], record_bytes: usize, attribute: &Attribute, column: &mut Vec<u8>) {
+fn push_attribute(
+    records: &[u8],
+    record_bytes: usize,
+    attribute: &Attribute,
+    column: &mut Vec<u8>,
+) {
     let (start, bytes) = (attribute.record_offset as usize, attribute.bytes());
     for record in records.chunks_exact(record_bytes) {
         column.extend_from_slice(&record[start..start + bytes]);

@@ -125,7 +125,7 @@ pub struct OutOfCore<'a> {
     pub sink: NodeSink<'a>,
     /// Counts points beyond one per finest cell.
     pub overflow: &'a std::sync::atomic::AtomicU64,
-    /// Hears of points that found their region's turn.
+    /// Hears of points counted and partitioned.
     pub progress: &'a dyn Progress,
 }
 
@@ -267,8 +267,7 @@ impl OutOfCore<'_> {
             let shift = self.rules.grid(node.depth).shift(self.rules.levels);
             take_first_arrivals(&mut entries, shift, rows, node.taken, spill)?;
         }
-        let subtree =
-            Subtree { rules: self.rules, rows, sink: self.sink, overflow: self.overflow };
+        let subtree = Subtree { rules: self.rules, rows, sink: self.sink, overflow: self.overflow };
         let has_node = region.depth == base || entries.len() >= self.rules.threshold.max(1);
         if has_node {
             subtree.grow(region.depth, &mut entries)?;
@@ -278,7 +277,6 @@ impl OutOfCore<'_> {
                 append_taken(*entry, false, rows, parent.taken, spill)?;
             }
         }
-        self.progress.advance(rows.len() as u64);
         Ok(())
     }
 
@@ -292,7 +290,10 @@ impl OutOfCore<'_> {
         spill: &mut SpillFile,
     ) -> Result<(), BuildError> {
         let code_at = |depth: u32| key.ancestor(self.rules.root_bits - depth);
-        while open.last().is_some_and(|node| node.depth >= depth || node.code != code_at(node.depth)) {
+        while open
+            .last()
+            .is_some_and(|node| node.depth >= depth || node.code != code_at(node.depth))
+        {
             let node = open.pop().expect("it was looked at");
             self.close(node, spill)?;
         }
@@ -304,28 +305,34 @@ impl OutOfCore<'_> {
     }
 
     /// Finishes a node whose regions are all done.
-    fn close<K: MortonKey>(&self, node: OpenNode<K>, spill: &mut SpillFile) -> Result<(), BuildError> {
+    fn close<K: MortonKey>(
+        &self,
+        node: OpenNode<K>,
+        spill: &mut SpillFile,
+    ) -> Result<(), BuildError> {
         let mut bytes = Vec::new();
         spill.take_all(node.taken, &mut bytes)?;
-        let taken = Rows::with_prefix(&bytes, self.schema, TAKEN_PREFIX - INDEX_BYTES, TAKEN_PREFIX);
+        let taken =
+            Rows::with_prefix(&bytes, self.schema, TAKEN_PREFIX - INDEX_BYTES, TAKEN_PREFIX);
         // Rows stand in input order wherever points are compared by row.
         let mut order: Vec<u32> = (0..taken.len() as u32).collect();
         order.sort_unstable_by_key(|&row| taken.input_index(row));
         let mut sorted = Vec::with_capacity(bytes.len());
         order.iter().for_each(|&row| sorted.extend_from_slice(taken.row(row)));
         drop((bytes, order));
-        let rows = Rows::with_prefix(&sorted, self.schema, TAKEN_PREFIX - INDEX_BYTES, TAKEN_PREFIX);
+        let rows =
+            Rows::with_prefix(&sorted, self.schema, TAKEN_PREFIX - INDEX_BYTES, TAKEN_PREFIX);
         let mut points: Vec<(Entry<K>, bool)> = (0..rows.len() as u32)
             .map(|row| {
                 let prefix = rows.row(row);
-                let code = u128::from_le_bytes(prefix[..16].try_into().expect("a code has 16 bytes"));
+                let code =
+                    u128::from_le_bytes(prefix[..16].try_into().expect("a code has 16 bytes"));
                 (Entry { key: K::narrow(code), row }, prefix[16] == 1)
             })
             .collect();
         points.par_sort_unstable();
         let (entries, kept): (Vec<_>, Vec<_>) = points.into_iter().unzip();
-        let subtree =
-            Subtree { rules: self.rules, rows, sink: self.sink, overflow: self.overflow };
+        let subtree = Subtree { rules: self.rules, rows, sink: self.sink, overflow: self.overflow };
         subtree.finish_node(node.depth, entries, kept)
     }
 
@@ -412,8 +419,7 @@ fn take_first_arrivals<K: MortonKey>(
         let cell = entries[start].key.ancestor(shift);
         let length = entries[start..].iter().take_while(|e| e.key.ancestor(shift) == cell).count();
         let stop = start + length;
-        let first =
-            (start..stop).min_by_key(|&i| entries[i].row).expect("a cell has an entry");
+        let first = (start..stop).min_by_key(|&i| entries[i].row).expect("a cell has an entry");
         for i in start..stop {
             let entry = entries[i];
             if i == first {

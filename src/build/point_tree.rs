@@ -110,9 +110,8 @@ fn choose<K: MortonKey>(
             let off = local.map(|c| (2 * i128::from(c) + 1 - edge).pow(2));
             (off.iter().sum::<i128>(), row(group[i]))
         }),
-        Representative::Random => {
-            (0..group.len()).min_by_key(|&i| (scramble(rows.input_index(row(group[i]))), row(group[i])))
-        }
+        Representative::Random => (0..group.len())
+            .min_by_key(|&i| (scramble(rows.input_index(row(group[i]))), row(group[i]))),
     };
     group[best.expect("a group has a candidate")]
 }

@@ -40,9 +40,13 @@ impl Sources {
         let mut shifts = Vec::with_capacity(scans.len());
         for scan in &scans {
             let mixed = |reason| BuildError::Mixed { reason, path: scan.path().to_path_buf() };
-            if scan.schema() != first.schema() || scan.facts().point_format != first.facts().point_format {
+            if scan.schema() != first.schema()
+                || scan.facts().point_format != first.facts().point_format
+            {
                 let name = first.path().display();
-                return Err(mixed(format!("its point records are laid out unlike those of {name}")));
+                return Err(mixed(format!(
+                    "its point records are laid out unlike those of {name}"
+                )));
             }
             let shift = lattice_shift(&first.lattice(), &scan.lattice()).ok_or_else(|| {
                 let name = first.path().display();
@@ -110,7 +114,8 @@ impl Sources {
                     blocks = &blocks[1..];
                     continue;
                 }
-                let length = blocks.iter().take(group_blocks).take_while(|b| !is_streamed(b)).count();
+                let length =
+                    blocks.iter().take(group_blocks).take_while(|b| !is_streamed(b)).count();
                 let (group, rest) = blocks.split_at(length);
                 blocks = rest;
                 group.par_iter().zip(&mut buffers).try_for_each(|(block, (buffer, records))| {
@@ -207,7 +212,12 @@ impl Survey {
             return Survey::empty();
         }
         let shifted = |v: [i32; 3]| [0, 1, 2].map(|axis| i64::from(v[axis]) + batch.shift[axis]);
-        Survey { points: batch.rows.len() as u64, min: shifted(low), max: shifted(high), color_union }
+        Survey {
+            points: batch.rows.len() as u64,
+            min: shifted(low),
+            max: shifted(high),
+            color_union,
+        }
     }
 
     /// Of both.

@@ -47,7 +47,6 @@ impl SpillFile {
         self.end
     }
 
-
     /// Appends to a stream.
     pub fn append(&mut self, stream: StreamId, bytes: &[u8]) -> Result<(), BuildError> {
         let target = &mut self.streams[stream.0];

@@ -70,7 +70,11 @@ impl Subtree<'_> {
     /// Builds the node at `depth` that these sorted entries enter, and all below it.
     ///
     /// All entries lie in one cell of that depth. Their order afterwards is undefined.
-    pub fn grow<K: MortonKey>(&self, depth: u32, entries: &mut [Entry<K>]) -> Result<(), BuildError> {
+    pub fn grow<K: MortonKey>(
+        &self,
+        depth: u32,
+        entries: &mut [Entry<K>],
+    ) -> Result<(), BuildError> {
         if entries.is_empty() {
             return Ok(());
         }
@@ -127,7 +131,9 @@ impl Subtree<'_> {
         let octant_of = |key: K| key.octant(self.rules.root_bits - depth - 1);
         let mut rejects = [0usize; 8];
         let mut cells = 0;
-        for cell in entries.chunk_by(|a, b| a.key.ancestor(cell_shift) == b.key.ancestor(cell_shift)) {
+        for cell in
+            entries.chunk_by(|a, b| a.key.ancestor(cell_shift) == b.key.ancestor(cell_shift))
+        {
             rejects[octant_of(cell[0].key)] += cell.len() - 1;
             cells += 1;
         }
@@ -144,9 +150,7 @@ impl Subtree<'_> {
             let cell_code = entries[start].key.ancestor(cell_shift);
             let same_cell = |e: &&Entry<K>| e.key.ancestor(cell_shift) == cell_code;
             let stop = start + entries[start..].iter().take_while(same_cell).count();
-            let first = (start..stop)
-                .min_by_key(|&i| entries[i].row)
-                .expect("a cell has an entry");
+            let first = (start..stop).min_by_key(|&i| entries[i].row).expect("a cell has an entry");
             let descend = has_child[octant_of(entries[start].key)];
             for i in start..stop {
                 let entry = entries[i];

@@ -86,6 +86,10 @@ impl Lines {
 
     fn tell(&self, state: &LineState) {
         let Some(stage) = state.stage else { return };
+        if state.done == 0 && !self.json {
+            eprintln!("{}: {} points", stage.name(), state.total);
+            return;
+        }
         let seconds = state.began.elapsed().as_secs_f64();
         let rate = state.done as f64 / seconds.max(1e-6);
         let seconds_left = state.total.saturating_sub(state.done) as f64 / rate.max(1.0);

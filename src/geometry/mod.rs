@@ -3,9 +3,11 @@
 mod aabb;
 mod frustum;
 mod morton;
+mod preset;
 mod view;
 
 pub use aabb::Aabb;
 pub use frustum::{CellDescent, ClipCell, Containment, Frustum};
 pub use morton::MortonKey;
+pub use preset::ViewPreset;
 pub use view::{Camera, View};

@@ -12,6 +12,7 @@ use crate::build::{self, ConvertOptions, DEPTH_RANGE, Representative};
 use crate::commands::inputs;
 use crate::commands::progress::{ProgressKind, listener};
 use crate::commands::quantities::{parse_bytes, show_bytes};
+use crate::metrics::peak_rss_bytes;
 
 /// Arguments of `esker convert`.
 #[derive(Debug, Args)]
@@ -76,7 +77,7 @@ pub fn run(args: ConvertArgs) -> anyhow::Result<ExitCode> {
         eprintln!("esker: {warning}");
     }
     let seconds = began.elapsed().as_secs_f64();
-    let peak: Option<u64> = None;
+    let peak = peak_rss_bytes();
     if args.json {
         let mut json = serde_json::to_value(&report)?;
         let more = serde_json::json!({

@@ -9,6 +9,7 @@ pub mod ids;
 pub mod input;
 pub mod metrics;
 pub mod octree;
+pub mod output;
 pub mod points;
 pub mod select;
 pub mod store;

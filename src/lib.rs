@@ -4,12 +4,15 @@
 
 pub mod build;
 pub mod commands;
+pub mod frame;
 pub mod geometry;
+pub mod gpu;
 pub mod ids;
 pub mod input;
 pub mod metrics;
 pub mod octree;
 pub mod output;
+pub mod passes;
 pub mod points;
 pub mod select;
 pub mod store;

@@ -1,0 +1,31 @@
+// Structs shared with Rust: gpu::layout, field for field. Test: tests/shader_layout.rs.
+
+struct GpuFrame {
+    screen_from_world_x: vec4<f32>,
+    screen_from_world_y: vec4<f32>,
+    screen_from_world_z: vec4<f32>,
+    center_px: vec2<f32>,
+    target_px: vec2<u32>,
+    near: f32,
+    max_splat_px: f32,
+    per_point_splats: u32,
+    background: u32,
+}
+
+struct GpuNode {
+    eye_cell: vec3<u32>,
+    positions_at: u32,
+    eye_fraction: vec3<f32>,
+    colors_at: u32,
+    scale: vec3<f32>,
+    splat_px_m: f32,
+    local_bits: u32,
+    drawn_count: u32,
+    drawn_child_mask: u32,
+    first_child_slot: u32,
+}
+
+struct GpuBatch {
+    node_slot: u32,
+    first_point: u32,
+}

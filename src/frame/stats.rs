@@ -1,0 +1,58 @@
+//! What a frame did and how long it took.
+
+use serde::Serialize;
+
+/// Counters and times of one frame. Counters repeat on any machine, times do not.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct FrameStats {
+    /// The picture was still right and nothing was drawn; the counters of work are 0.
+    pub unchanged: bool,
+    /// Nothing is left to load for this view.
+    pub complete: bool,
+    /// Points drawn, hidden ones included.
+    pub points_drawn: u64,
+    /// Nodes drawn.
+    pub nodes_drawn: u32,
+    /// Draw calls.
+    pub draw_calls: u32,
+    /// Compute dispatches.
+    pub dispatches: u32,
+    /// Nodes read in this frame.
+    pub nodes_loaded: u32,
+    /// Nodes that were asked for and are not there yet.
+    pub nodes_requested: u32,
+    /// Nodes that cannot be read.
+    pub nodes_failed: u32,
+    /// Nodes taken out of memory for others.
+    pub nodes_evicted: u32,
+    /// Nodes left out because the memory for nodes is full.
+    pub nodes_without_room: u32,
+    /// Nodes taken from the priority queue; 0 if all of the cloud fits the budget.
+    pub queue_pops: u32,
+    /// Bytes read from disk.
+    pub bytes_read: u64,
+    /// Bytes sent to the device: words of nodes and tables of the frame.
+    pub bytes_uploaded: u64,
+    /// Bytes of points held for drawing.
+    pub node_bytes: u64,
+    /// Parts that the picture was drawn in.
+    pub tiles: u32,
+    /// Time of the whole call.
+    pub frame_ms: f64,
+    /// Time per step, in order. Steps on the GPU are those of the latest frame whose clock was
+    /// read, none without timestamps.
+    pub passes: Vec<PassTime>,
+    /// The first nodes that could not be read, with the reason.
+    pub problems: Vec<String>,
+}
+
+/// Time of one step of a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct PassTime {
+    /// The step.
+    pub pass: &'static str,
+    /// Which clock: `cpu` or `gpu`.
+    pub clock: &'static str,
+    /// Its time.
+    pub pass_ms: f64,
+}

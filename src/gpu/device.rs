@@ -1,0 +1,255 @@
+//! The device: found, opened, and asked whether all went well.
+//!
+//! Any backend and any kind of adapter will do, software included; what an adapter lacks shows in
+//! [`Gpu::draws_by_compute`] and [`Gpu::draws_by_raster`]. Errors of the device are values: work
+//! that may fail runs in [`Gpu::checked`], and a lost device answers [`GpuError::Lost`] from then
+//! on.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use crate::gpu::shader::AtomicRead;
+
+/// Why the GPU did not do what it was asked.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum GpuError {
+    /// No adapter at all: no GPU, no software driver.
+    #[error("no graphics adapter: neither a GPU nor a software driver answers")]
+    NoAdapter,
+    /// The adapter refused to open a device.
+    #[error("adapter {adapter} gives no device: {reason}")]
+    NoDevice {
+        /// Name of the adapter.
+        adapter: String,
+        /// What the driver said.
+        reason: String,
+    },
+    /// Memory of the device ran out.
+    #[error("the graphics device has no memory left to {doing}")]
+    OutOfMemory {
+        /// What was tried.
+        doing: &'static str,
+    },
+    /// The device was lost (driver reset, unplugged) or had an internal error.
+    #[error("the graphics device was lost: {reason}")]
+    Lost {
+        /// What the driver said.
+        reason: String,
+    },
+    /// The device refused a call.
+    #[error("the graphics device refused to {doing}: {reason}")]
+    Refused {
+        /// What was tried.
+        doing: &'static str,
+        /// What it said.
+        reason: String,
+    },
+    /// The adapter cannot draw points in the wanted way.
+    #[error("adapter {adapter} cannot draw points by {path}: {missing}")]
+    Unsupported {
+        /// Name of the adapter.
+        adapter: String,
+        /// The wanted way.
+        path: &'static str,
+        /// What it lacks.
+        missing: &'static str,
+    },
+}
+
+/// What failed outside of a checked call, or that the device is gone.
+type Failure = Arc<Mutex<Option<String>>>;
+
+/// An open device and what is known of it.
+#[derive(Debug)]
+pub struct Gpu {
+    device: wgpu::Device,
+    queue: wgpu::Queue,
+    info: wgpu::AdapterInfo,
+    vertex_storage: bool,
+    failure: Failure,
+}
+
+const COMPUTE_FEATURES: wgpu::Features =
+    wgpu::Features::SHADER_INT64.union(wgpu::Features::SHADER_INT64_ATOMIC_MIN_MAX);
+
+/// The features that drawing uses where an adapter has them; none is required.
+pub fn wanted_features(adapter: &wgpu::Adapter) -> wgpu::Features {
+    adapter.features() & COMPUTE_FEATURES.union(wgpu::Features::TIMESTAMP_QUERY)
+}
+
+/// The limits that drawing uses: the defaults, and as large buffers and textures as there are.
+pub fn wanted_limits(adapter: &wgpu::Adapter) -> wgpu::Limits {
+    let offered = adapter.limits();
+    wgpu::Limits {
+        max_buffer_size: offered.max_buffer_size,
+        max_storage_buffer_binding_size: offered.max_storage_buffer_binding_size,
+        max_texture_dimension_2d: offered.max_texture_dimension_2d,
+        ..wgpu::Limits::downlevel_defaults()
+    }
+    .or_worse_values_from(&offered)
+}
+
+impl Gpu {
+    /// Opens the best adapter: one that draws by compute, then a real GPU, then a modern backend.
+    ///
+    /// The variables of wgpu (`WGPU_BACKEND` and others) are obeyed.
+    pub fn open() -> Result<Gpu, GpuError> {
+        let instance =
+            wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
+        let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
+        adapters.sort_by_key(preference);
+        let mut refusal = GpuError::NoAdapter;
+        for adapter in adapters {
+            match Gpu::open_adapter(&adapter) {
+                Ok(gpu) => return Ok(gpu),
+                Err(error) => refusal = error,
+            }
+        }
+        Err(refusal)
+    }
+
+    /// Opens a given adapter.
+    pub fn open_adapter(adapter: &wgpu::Adapter) -> Result<Gpu, GpuError> {
+        let descriptor = wgpu::DeviceDescriptor {
+            label: Some("esker"),
+            required_features: wanted_features(adapter),
+            required_limits: wanted_limits(adapter),
+            ..Default::default()
+        };
+        let (device, queue) =
+            pollster::block_on(adapter.request_device(&descriptor)).map_err(|error| {
+                GpuError::NoDevice { adapter: adapter.get_info().name, reason: error.to_string() }
+            })?;
+        let gpu = Gpu::from_device(adapter, device, queue);
+        let failure = gpu.failure.clone();
+        gpu.device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
+            note_failure(&failure, error.to_string());
+        }));
+        Ok(gpu)
+    }
+
+    /// Takes a device that somebody else opened (a window), best with [`wanted_features`] and
+    /// [`wanted_limits`].
+    pub fn from_device(adapter: &wgpu::Adapter, device: wgpu::Device, queue: wgpu::Queue) -> Gpu {
+        let failure = Failure::default();
+        let lost = failure.clone();
+        device.set_device_lost_callback(move |reason, message| {
+            if reason != wgpu::DeviceLostReason::Destroyed {
+                note_failure(&lost, message);
+            }
+        });
+        let flags = adapter.get_downlevel_capabilities().flags;
+        Gpu {
+            device,
+            queue,
+            info: adapter.get_info(),
+            vertex_storage: flags.contains(wgpu::DownlevelFlags::VERTEX_STORAGE),
+            failure,
+        }
+    }
+
+    /// The device.
+    pub fn device(&self) -> &wgpu::Device {
+        &self.device
+    }
+
+    /// Its queue.
+    pub fn queue(&self) -> &wgpu::Queue {
+        &self.queue
+    }
+
+    /// Name, backend and driver in one line, for reports.
+    pub fn description(&self) -> String {
+        let wgpu::AdapterInfo { name, backend, driver, driver_info, .. } = &self.info;
+        format!("{name} ({backend}, {driver} {driver_info})").replace(" )", ")")
+    }
+
+    /// Whether the adapter is a program on the CPU.
+    pub fn is_software(&self) -> bool {
+        self.info.device_type == wgpu::DeviceType::Cpu
+    }
+
+    /// Whether 64-bit atomic minimum and maximum are there, the main way to draw points.
+    pub fn draws_by_compute(&self) -> bool {
+        self.device.features().contains(COMPUTE_FEATURES)
+    }
+
+    /// Whether vertex shaders may read storage buffers, which the fallback way needs.
+    pub fn draws_by_raster(&self) -> bool {
+        self.vertex_storage
+    }
+
+    /// Whether the GPU's own clock can be read.
+    pub fn has_timestamps(&self) -> bool {
+        self.device.features().contains(wgpu::Features::TIMESTAMP_QUERY)
+    }
+
+    /// How shaders may look at a 64-bit atomic.
+    pub fn atomic_read(&self) -> AtomicRead {
+        match self.info.backend {
+            wgpu::Backend::Metal => AtomicRead::Unknown,
+            _ => AtomicRead::Load,
+        }
+    }
+
+    /// An error of this adapter that lacks something.
+    pub fn unsupported(&self, path: &'static str, missing: &'static str) -> GpuError {
+        GpuError::Unsupported { adapter: self.info.name.clone(), path, missing }
+    }
+
+    /// Does `work` and tells whether the device accepted it and still lives.
+    pub fn checked<T>(&self, doing: &'static str, work: impl FnOnce() -> T) -> Result<T, GpuError> {
+        self.alive()?;
+        let internal = self.device.push_error_scope(wgpu::ErrorFilter::Internal);
+        let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        let validation = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
+        let value = work();
+        let refused = pollster::block_on(validation.pop());
+        let out_of_memory = pollster::block_on(memory.pop());
+        let broken = pollster::block_on(internal.pop());
+        self.alive()?;
+        if out_of_memory.is_some() {
+            return Err(GpuError::OutOfMemory { doing });
+        }
+        match refused.or(broken) {
+            Some(error) => Err(GpuError::Refused { doing, reason: error.to_string() }),
+            None => Ok(value),
+        }
+    }
+
+    /// Waits until all submitted work is done.
+    pub fn wait(&self) -> Result<(), GpuError> {
+        let waited = self.device.poll(wgpu::PollType::wait_indefinitely());
+        self.alive()?;
+        waited.map(drop).map_err(|error| GpuError::Lost { reason: error.to_string() })
+    }
+
+    fn alive(&self) -> Result<(), GpuError> {
+        match &*self.failure.lock().unwrap_or_else(PoisonError::into_inner) {
+            Some(reason) => Err(GpuError::Lost { reason: reason.clone() }),
+            None => Ok(()),
+        }
+    }
+}
+
+fn note_failure(failure: &Failure, reason: String) {
+    failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(reason);
+}
+
+/// Sorts adapters: smaller is better.
+fn preference(adapter: &wgpu::Adapter) -> (bool, u32, u32) {
+    let info = adapter.get_info();
+    let kind = match info.device_type {
+        wgpu::DeviceType::DiscreteGpu => 0,
+        wgpu::DeviceType::IntegratedGpu => 1,
+        wgpu::DeviceType::VirtualGpu => 2,
+        wgpu::DeviceType::Other => 3,
+        wgpu::DeviceType::Cpu => 4,
+    };
+    let backend = match info.backend {
+        wgpu::Backend::Gl => 1,
+        wgpu::Backend::Noop => 2,
+        _ => 0,
+    };
+    (!adapter.features().contains(COMPUTE_FEATURES), kind, backend)
+}

@@ -1,0 +1,128 @@
+//! Every struct that the GPU sees, field by field as in WGSL, and the constants both sides share.
+//!
+//! The WGSL side stands in `shaders/shared/structs.wgsl`; `tests/shader_layout.rs` compares names,
+//! sizes and offsets. Constants reach shaders through [`prelude`], so each exists once. No wgpu
+//! here: the CPU twins read the same structs. Lengths are metres unless a name says otherwise.
+
+use bytemuck::{Pod, Zeroable};
+
+/// Threads of one workgroup of the point pass.
+pub const WORKGROUP_SIZE: u32 = 128;
+/// Leading points of one node that one workgroup draws.
+pub const BATCH_POINTS: u32 = 2048;
+/// Most bits per axis whose Morton code fits two words; nodes with more hold three coordinates.
+pub const NARROW_BITS: u32 = 21;
+
+/// Words per position of a node whose local coordinates have `local_bits` bits.
+pub const fn position_words(local_bits: u32) -> u32 {
+    if local_bits <= NARROW_BITS { 2 } else { 3 }
+}
+
+/// Name, size and fields of a shared struct, for the test that holds both sides together.
+#[derive(Clone, Copy, Debug)]
+pub struct StructLayout {
+    /// Name in Rust and in WGSL.
+    pub name: &'static str,
+    /// Size, bytes.
+    pub size: usize,
+    /// Field names and their offsets in bytes, in order.
+    pub fields: &'static [(&'static str, usize)],
+}
+
+macro_rules! gpu_struct {
+    ($(#[$doc:meta])* $name:ident, $size:literal { $($(#[$field_doc:meta])* $field:ident: $type:ty,)* }) => {
+        $(#[$doc])*
+        #[repr(C)]
+        #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+        pub struct $name { $($(#[$field_doc])* pub $field: $type,)* }
+
+        const _: () = assert!(size_of::<$name>() == $size);
+
+        impl $name {
+            /// The layout as Rust has it.
+            pub const LAYOUT: StructLayout = StructLayout {
+                name: stringify!($name),
+                size: size_of::<$name>(),
+                fields: &[$((stringify!($field), std::mem::offset_of!($name, $field)),)*],
+            };
+        }
+    };
+}
+
+gpu_struct! {
+    /// What all draws of a frame share.
+    ///
+    /// The three columns map a position relative to the eye (world axes) to `(x w, y w, w)`: pixels
+    /// from the middle of the picture, x right and y down, and the distance `w` along the viewing
+    /// direction.
+    GpuFrame, 80 {
+        /// Column for world x; the fourth lane is unused.
+        screen_from_world_x: [f32; 4],
+        /// Column for world y; the fourth lane is unused.
+        screen_from_world_y: [f32; 4],
+        /// Column for world z; the fourth lane is unused.
+        screen_from_world_z: [f32; 4],
+        /// The middle of the picture, in pixels of the target (which may show a part of it).
+        center_px: [f32; 2],
+        /// Width and height of the target.
+        target_px: [u32; 2],
+        /// Distance of the near plane.
+        near: f32,
+        /// Largest side of a splat, pixels.
+        max_splat_px: f32,
+        /// 1 if a point takes the splat size of the deepest drawn node around it, else 0.
+        per_point_splats: u32,
+        /// RGBA8 of pixels without a point, red in the lowest byte.
+        background: u32,
+    }
+}
+
+gpu_struct! {
+    /// One drawn node. Drawn children of a node stand side by side in octant order.
+    ///
+    /// The eye is given in the node's lattice steps as `eye_cell + eye_fraction`, where `eye_cell`
+    /// is clamped into the node; the difference of a point and `eye_cell` is exact, and where the
+    /// eye is outside, both parts of the distance have the same sign, so nothing cancels.
+    GpuNode, 64 {
+        /// Integer part of the eye, clamped to the node's cell, lattice steps.
+        eye_cell: [u32; 3],
+        /// First position word, counted in words of the node's shard.
+        positions_at: u32,
+        /// The rest of the eye, lattice steps.
+        eye_fraction: [f32; 3],
+        /// First colour word, counted in words of the node's shard.
+        colors_at: u32,
+        /// World length of one lattice step per axis.
+        scale: [f32; 3],
+        /// Splat size on screen at a distance of 1 m, pixels.
+        splat_px_m: f32,
+        /// Local coordinates are below `2^local_bits`.
+        local_bits: u32,
+        /// Leading points that are drawn.
+        drawn_count: u32,
+        /// Bit `o` is set if the child in octant `o` is drawn.
+        drawn_child_mask: u32,
+        /// Slot of the first drawn child.
+        first_child_slot: u32,
+    }
+}
+
+gpu_struct! {
+    /// What one workgroup draws: [`BATCH_POINTS`] points of a node, fewer at its end.
+    GpuBatch, 8 {
+        /// Slot of the node.
+        node_slot: u32,
+        /// First point.
+        first_point: u32,
+    }
+}
+
+/// All shared structs.
+pub const STRUCTS: &[StructLayout] = &[GpuFrame::LAYOUT, GpuNode::LAYOUT, GpuBatch::LAYOUT];
+
+/// WGSL text that declares the shared constants; every shader starts with it.
+pub fn prelude() -> String {
+    [("WORKGROUP_SIZE", WORKGROUP_SIZE), ("BATCH_POINTS", BATCH_POINTS), ("NARROW_BITS", NARROW_BITS)]
+        .map(|(name, value)| format!("const {name}: u32 = {value}u;\n"))
+        .concat()
+}

@@ -1,0 +1,30 @@
+//! The device, its memory and its shaders; what the GPU sees of a scene, struct by struct.
+//!
+//! [`layout`] compiles without a GPU because the CPU twins of the passes share its structs. The
+//! rest needs the feature `gpu`. What is drawn, and in which order, is decided elsewhere.
+
+pub mod layout;
+
+#[cfg(feature = "gpu")]
+mod arena;
+#[cfg(feature = "gpu")]
+mod device;
+#[cfg(feature = "gpu")]
+mod growing_buffer;
+#[cfg(feature = "gpu")]
+mod read_back;
+#[cfg(feature = "gpu")]
+pub mod shader;
+#[cfg(feature = "gpu")]
+mod timing;
+
+#[cfg(feature = "gpu")]
+pub use arena::{WordArena, WordRange};
+#[cfg(feature = "gpu")]
+pub use device::{Gpu, GpuError, wanted_features, wanted_limits};
+#[cfg(feature = "gpu")]
+pub use growing_buffer::GrowingBuffer;
+#[cfg(feature = "gpu")]
+pub use read_back::{read_buffer, read_texture};
+#[cfg(feature = "gpu")]
+pub use timing::{PassTimer, PassTimes};

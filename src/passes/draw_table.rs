@@ -1,0 +1,160 @@
+//! The drawn nodes as the point passes read them: one row per node, and the list of draws.
+//!
+//! Rows of a cloud stand in the order of its node ids, so that drawn children stand side by side
+//! and a point finds the deepest drawn node around it; draws keep the order of the cut, nearest
+//! first, so that later points fail the depth test early. The eye goes into each row in f64, the
+//! GPU gets only what is relative to it.
+
+use std::ops::Range;
+
+use crate::geometry::View;
+use crate::gpu::layout::{BATCH_POINTS, GpuBatch, GpuNode};
+use crate::ids::NodeId;
+use crate::octree::Octree;
+use crate::select::{Cut, SplatSettings};
+
+/// Where the words of a node are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct NodePlace {
+    /// The buffer.
+    pub shard: usize,
+    /// First position word within it.
+    pub positions_at: u32,
+    /// First colour word within it.
+    pub colors_at: u32,
+}
+
+/// What is drawn of one cloud.
+#[derive(Clone, Copy)]
+pub struct CloudDraw<'a> {
+    /// The cloud.
+    pub octree: &'a Octree,
+    /// Its nodes; they must all have a place.
+    pub cut: &'a Cut,
+    /// Where a drawn node's words are.
+    pub place: &'a dyn Fn(NodeId) -> NodePlace,
+}
+
+/// One draw: leading points of one node.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct DrawnNode {
+    /// Row of the node in [`DrawTable::nodes`].
+    pub slot: u32,
+    /// Which cloud of the scene.
+    pub cloud: usize,
+    /// Which node of it.
+    pub node: NodeId,
+    /// Leading points.
+    pub count: u32,
+    /// Buffer of its words.
+    pub shard: usize,
+    /// Whether no splat of the node can exceed one pixel.
+    pub single_pixels: bool,
+}
+
+/// All drawn nodes of a scene. Lists are kept for the next frame's use.
+#[derive(Debug, Default)]
+pub struct DrawTable {
+    /// One row per node, sorted by cloud and node id.
+    pub nodes: Vec<GpuNode>,
+    /// In drawing order.
+    pub draws: Vec<DrawnNode>,
+    /// Sum of the draws' counts.
+    pub points: u64,
+}
+
+/// Workgroup-sized pieces of the draws.
+#[derive(Debug, Default)]
+pub struct Batches {
+    /// All pieces, with gaps between shards.
+    pub list: Vec<GpuBatch>,
+    /// The pieces of each shard that has any.
+    pub by_shard: Vec<(usize, Range<usize>)>,
+}
+
+impl DrawTable {
+    /// Fills the table with the cuts of a scene.
+    pub fn fill(&mut self, clouds: &[CloudDraw], view: &View, splat: &SplatSettings) {
+        self.nodes.clear();
+        self.draws.clear();
+        for (index, cloud) in clouds.iter().enumerate() {
+            self.add_cloud(index, cloud, view, splat);
+        }
+        self.points = self.draws.iter().map(|draw| u64::from(draw.count)).sum();
+    }
+
+    /// Cuts the draws into batches, shard by shard; each shard's start is a multiple of `align`.
+    pub fn batches(&self, align: usize, batches: &mut Batches) {
+        batches.list.clear();
+        batches.by_shard.clear();
+        let mut shards: Vec<usize> = self.draws.iter().map(|draw| draw.shard).collect();
+        shards.sort_unstable();
+        shards.dedup();
+        for shard in shards {
+            let start = batches.list.len().next_multiple_of(align);
+            batches.list.resize(start, GpuBatch { node_slot: 0, first_point: 0 });
+            for draw in self.draws.iter().filter(|draw| draw.shard == shard) {
+                let pieces = (0..draw.count).step_by(BATCH_POINTS as usize);
+                batches.list.extend(
+                    pieces.map(|first_point| GpuBatch { node_slot: draw.slot, first_point }),
+                );
+            }
+            batches.by_shard.push((shard, start..batches.list.len()));
+        }
+    }
+
+    fn add_cloud(&mut self, index: usize, cloud: &CloudDraw, view: &View, splat: &SplatSettings) {
+        let base = self.nodes.len() as u32;
+        let first_draw = self.draws.len();
+        let octree = cloud.octree;
+        // Draws come in the cut's order, rows in node order: slots are filled in below.
+        self.draws.extend(cloud.cut.draw.iter().map(|drawn| DrawnNode {
+            slot: 0,
+            cloud: index,
+            node: drawn.node,
+            count: drawn.count,
+            shard: 0,
+            single_pixels: false,
+        }));
+        for (row, slot) in cloud.cut.table.iter().zip(base..) {
+            let drawn = cloud.cut.draw[row.draw as usize];
+            let place = (cloud.place)(row.node);
+            let cell_edge = octree.cell_size(drawn.splat_level).max_element();
+            let splat_px_m = splat.multiplier * cell_edge * view.focal_px();
+            let (eye_cell, eye_fraction) = local_eye(octree, row.node, view);
+            self.nodes.push(GpuNode {
+                eye_cell,
+                positions_at: place.positions_at,
+                eye_fraction,
+                colors_at: place.colors_at,
+                scale: octree.lattice().scale.as_vec3().to_array(),
+                splat_px_m: splat_px_m as f32,
+                local_bits: octree.local_bits(row.node),
+                drawn_count: drawn.count,
+                drawn_child_mask: u32::from(row.child_drawn_mask),
+                first_child_slot: base + row.first_drawn_child,
+            });
+            let draw = &mut self.draws[first_draw + row.draw as usize];
+            draw.slot = slot;
+            draw.shard = place.shard;
+            // A hair of margin, because the GPU compares in f32.
+            draw.single_pixels = splat_px_m <= 0.9999 * nearest_depth(octree, row.node, view);
+        }
+    }
+}
+
+/// The eye in lattice steps of a node: integer part clamped into the cell, and the rest.
+fn local_eye(octree: &Octree, node: NodeId, view: &View) -> ([u32; 3], [f32; 3]) {
+    let eye = octree.lattice().lattice(view.camera.eye) - octree.cell_min(node).as_dvec3();
+    let last = f64::from(octree.local_bits(node)).exp2() - 1.0;
+    let cell = eye.to_array().map(|e| e.floor().clamp(0.0, last));
+    let fraction = [0, 1, 2].map(|axis| (eye[axis] - cell[axis]) as f32);
+    (cell.map(|c| c as u32), fraction)
+}
+
+/// Smallest distance along the viewing direction of a node's points.
+fn nearest_depth(octree: &Octree, node: NodeId, view: &View) -> f64 {
+    let tight = octree.tight_box(node);
+    let forward = view.camera.forward;
+    (tight.center() - view.camera.eye).dot(forward) - 0.5 * tight.size().dot(forward.abs())
+}

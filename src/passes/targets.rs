@@ -1,0 +1,146 @@
+//! The textures of one view: what the passes draw to, and what is read back or shown.
+
+use crate::gpu::{Gpu, GpuError, read_texture};
+use crate::passes::Picture;
+
+/// Colour and reversed-z depth of one size.
+#[derive(Debug)]
+pub struct Targets {
+    width_px: u32,
+    height_px: u32,
+    color: wgpu::Texture,
+    depth: wgpu::Texture,
+    color_view: wgpu::TextureView,
+    depth_view: wgpu::TextureView,
+}
+
+impl Targets {
+    /// Colours are bytes as scans have them, not converted; sampling gives them back unchanged.
+    pub const COLOR_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
+    /// Depth is `near / distance`; 0 where nothing is.
+    pub const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
+
+    /// Textures of that size, which the device must allow.
+    pub fn new(gpu: &Gpu, width_px: u32, height_px: u32) -> Result<Self, GpuError> {
+        gpu.checked("hold the picture", || {
+            let texture = |label, format| {
+                gpu.device().create_texture(&wgpu::TextureDescriptor {
+                    label: Some(label),
+                    size: wgpu::Extent3d {
+                        width: width_px,
+                        height: height_px,
+                        depth_or_array_layers: 1,
+                    },
+                    mip_level_count: 1,
+                    sample_count: 1,
+                    dimension: wgpu::TextureDimension::D2,
+                    format,
+                    usage: wgpu::TextureUsages::RENDER_ATTACHMENT
+                        | wgpu::TextureUsages::TEXTURE_BINDING
+                        | wgpu::TextureUsages::COPY_SRC,
+                    view_formats: &[],
+                })
+            };
+            let color = texture("points color", Self::COLOR_FORMAT);
+            let depth = texture("points depth", Self::DEPTH_FORMAT);
+            let color_view = color.create_view(&Default::default());
+            let depth_view = depth.create_view(&Default::default());
+            Targets { width_px, height_px, color, depth, color_view, depth_view }
+        })
+    }
+
+    /// Whether they have that size.
+    pub fn fits(&self, width_px: u32, height_px: u32) -> bool {
+        self.width_px == width_px && self.height_px == height_px
+    }
+
+    /// Colour, to be attached or sampled.
+    pub fn color_view(&self) -> &wgpu::TextureView {
+        &self.color_view
+    }
+
+    /// Depth, to be attached or sampled.
+    pub fn depth_view(&self) -> &wgpu::TextureView {
+        &self.depth_view
+    }
+
+    /// Bytes of both textures.
+    pub fn held_bytes(&self) -> u64 {
+        8 * u64::from(self.width_px) * u64::from(self.height_px)
+    }
+
+    /// The attachments of a pass that begins with an empty picture.
+    pub fn cleared(
+        &self,
+        background: u32,
+    ) -> (wgpu::RenderPassColorAttachment<'_>, wgpu::RenderPassDepthStencilAttachment<'_>) {
+        let [r, g, b, a] = background.to_le_bytes().map(|byte| f64::from(byte) / 255.0);
+        let color = wgpu::RenderPassColorAttachment {
+            view: &self.color_view,
+            depth_slice: None,
+            resolve_target: None,
+            ops: wgpu::Operations {
+                load: wgpu::LoadOp::Clear(wgpu::Color { r, g, b, a }),
+                store: wgpu::StoreOp::Store,
+            },
+        };
+        let depth = wgpu::RenderPassDepthStencilAttachment {
+            view: &self.depth_view,
+            depth_ops: Some(wgpu::Operations {
+                load: wgpu::LoadOp::Clear(0.0),
+                store: wgpu::StoreOp::Store,
+            }),
+            stencil_ops: None,
+        };
+        (color, depth)
+    }
+
+    /// Adds the commands that empty the picture.
+    pub fn clear(&self, encoder: &mut wgpu::CommandEncoder, background: u32) {
+        let (color, depth) = self.cleared(background);
+        encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some("clear"),
+            color_attachments: &[Some(color)],
+            depth_stencil_attachment: Some(depth),
+            ..Default::default()
+        });
+    }
+
+    /// The depth state of pipelines that draw to these textures.
+    pub fn depth_state(compare: wgpu::CompareFunction) -> wgpu::DepthStencilState {
+        wgpu::DepthStencilState {
+            format: Self::DEPTH_FORMAT,
+            depth_write_enabled: Some(true),
+            depth_compare: Some(compare),
+            stencil: Default::default(),
+            bias: Default::default(),
+        }
+    }
+
+    /// The picture, read back; distances come from depth and are as exact as it is.
+    pub fn read(&self, gpu: &Gpu, near: f32) -> Result<Picture, GpuError> {
+        let colors = read_texture(gpu, &self.color)?;
+        let depths = read_texture(gpu, &self.depth)?;
+        Ok(Picture {
+            width_px: self.width_px,
+            height_px: self.height_px,
+            colors: bytemuck::pod_collect_to_vec(&colors),
+            distances: depths
+                .chunks_exact(4)
+                .map(|bytes| {
+                    near / f32::from_le_bytes(bytes.try_into().expect("the chunk has 4 bytes"))
+                })
+                .collect(),
+        })
+    }
+
+    /// The colours alone, read back; the picture has no distances.
+    pub fn read_colors(&self, gpu: &Gpu) -> Result<Picture, GpuError> {
+        Ok(Picture {
+            width_px: self.width_px,
+            height_px: self.height_px,
+            colors: bytemuck::pod_collect_to_vec(&read_texture(gpu, &self.color)?),
+            distances: Vec::new(),
+        })
+    }
+}

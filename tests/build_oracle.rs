@@ -86,7 +86,8 @@ fn compare_with_insertion(store: &Store, points: &[LasPoint], depth: u32, thresh
     let input: Vec<InputPoint> = points
         .iter()
         .map(|p| InputPoint {
-            position: [0, 1, 2].map(|axis| (i64::from(p.position[axis]) - i64::from(min[axis])) as u32),
+            position: [0, 1, 2]
+                .map(|axis| (i64::from(p.position[axis]) - i64::from(min[axis])) as u32),
             color: p.color,
         })
         .collect();
@@ -106,7 +107,9 @@ fn compare_with_insertion(store: &Store, points: &[LasPoint], depth: u32, thresh
 fn builds_in_memory_equal_insertion() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     for kind in 0..KINDS {
-        for (count, depth, threshold) in [(1, 7, 1000), (2, 2, 1), (777, 3, 20), (6000, 3, 15), (6000, 7, 100)] {
+        for (count, depth, threshold) in
+            [(1, 7, 1000), (2, 2, 1), (777, 3, 20), (6000, 3, 15), (6000, 7, 100)]
+        {
             let points = cloud(kind, count, 11 + kind as u64);
             let (store, report) = build(folder.path(), &points, &options(depth, threshold));
             assert!(report.in_memory);
@@ -136,7 +139,8 @@ fn representatives_are_the_asked_for_ones() {
     let colors = [10u16, 200, 90, 100, 105, 30, 250, 0];
     let points: Vec<LasPoint> = (0..8)
         .map(|i| LasPoint {
-            position: [i & 1, i >> 1 & 1, i >> 2].map(|bit| bit * 7 + 2 * (1 - bit) * i32::from(i == 0)),
+            position: [i & 1, i >> 1 & 1, i >> 2]
+                .map(|bit| bit * 7 + 2 * (1 - bit) * i32::from(i == 0)),
             color: [colors[i as usize]; 3],
             intensity: 0,
         })

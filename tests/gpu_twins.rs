@@ -48,7 +48,8 @@ fn cloud(count: usize, bits: u32, depth: u32, seed: u64) -> MemoryCloud {
     let mut random = Random(seed);
     let edge = (1u64 << bits) as f64;
     let mut point = || {
-        let (x, y) = (f64::from(random.next()) / 2f64.powi(32), f64::from(random.next()) / 2f64.powi(32));
+        let (x, y) =
+            (f64::from(random.next()) / 2f64.powi(32), f64::from(random.next()) / 2f64.powi(32));
         let sheet = f64::from(random.next() % 2);
         let z = 0.2 + 0.5 * sheet + 0.1 * (9.0 * x).sin() * (7.0 * y).cos();
         let cell = [x, y, z].map(|v| (v * edge) as u32);
@@ -126,7 +127,8 @@ fn all_paths_draw_the_same_picture() {
                 let settings = settings(policy, 3.0);
                 let expected = draw(RasterPath::Cpu, &cloud, &view, &settings);
                 for path in PATHS {
-                    let what = format!("{count} points, {bits} bits, {policy:?}, {path:?}, {eye:?}");
+                    let what =
+                        format!("{count} points, {bits} bits, {policy:?}, {path:?}, {eye:?}");
                     let picture = draw(path, &cloud, &view, &settings);
                     let share = share_that_differs(&expected, &picture, &what);
                     assert!(share <= 0.001, "{what}: {share}");

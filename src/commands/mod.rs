@@ -5,6 +5,7 @@
 
 mod check;
 mod convert;
+mod export;
 mod info;
 mod inputs;
 mod progress;
@@ -32,6 +33,8 @@ enum Command {
     Info(info::InfoArgs),
     /// Read every byte of a store and verify it
     Check(check::CheckArgs),
+    /// Write a store's points to a scan file
+    Export(export::ExportArgs),
 }
 
 /// Runs the program on its command line.
@@ -41,6 +44,7 @@ pub fn main() -> ExitCode {
         Command::Convert(args) => convert::run(args),
         Command::Info(args) => info::run(args),
         Command::Check(args) => check::run(args),
+        Command::Export(args) => export::run(args),
     };
     match outcome {
         Ok(code) => code,

@@ -326,11 +326,7 @@ fn elevations<'a>(
 }
 
 /// The first component of each value of a column whose values have `stride` bytes.
-fn first_components(
-    bytes: &[u8],
-    scalar: Scalar,
-    stride: usize,
-) -> impl Iterator<Item = f64> + '_ {
+fn first_components(bytes: &[u8], scalar: Scalar, stride: usize) -> impl Iterator<Item = f64> + '_ {
     bytes.chunks_exact(stride).map(move |value| scalar.read(value))
 }
 
@@ -348,8 +344,7 @@ fn word_of_oklch([lightness, chroma, hue]: [f64; 3]) -> u32 {
     ];
     let [r, g, b] = linear.map(|c: f64| {
         let c = c.clamp(0.0, 1.0);
-        let encoded =
-            if c <= 0.0031308 { 12.92 * c } else { 1.055 * c.powf(1.0 / 2.4) - 0.055 };
+        let encoded = if c <= 0.0031308 { 12.92 * c } else { 1.055 * c.powf(1.0 / 2.4) - 0.055 };
         (encoded * 255.0).round() as u8
     });
     u32::from_le_bytes([r, g, b, 255])

@@ -6,9 +6,9 @@
 use std::cmp::Reverse;
 use std::collections::HashMap;
 
-use crate::ids::NodeId;
 #[cfg(feature = "gpu")]
 use crate::gpu::{Gpu, GpuError, WordArena, WordRange};
+use crate::ids::NodeId;
 
 /// A node of a scene: which cloud, which node.
 pub type SceneNode = (usize, NodeId);
@@ -152,14 +152,7 @@ impl NodeCache {
         }
     }
 
-    fn add(
-        &mut self,
-        node: SceneNode,
-        depth: u32,
-        words: Words,
-        position_words: u32,
-        count: u32,
-    ) {
+    fn add(&mut self, node: SceneNode, depth: u32, words: Words, position_words: u32, count: u32) {
         self.remove(node);
         self.held_words += u64::from(count);
         let last_frame = self.frame;

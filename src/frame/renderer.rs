@@ -17,9 +17,7 @@ use crate::ids::NodeId;
 use crate::passes::{CloudDraw, DrawTable, NodePlace, NodeWords, Picture, PointsCpu, Tile};
 #[cfg(feature = "gpu")]
 use crate::passes::{DrawCounts, PointsCompute, PointsRaster, Targets};
-use crate::select::{
-    Availability, Cut, CutScratch, CutSettings, Residency, select_scene,
-};
+use crate::select::{Availability, Cut, CutScratch, CutSettings, Residency, select_scene};
 
 /// Why a frame was not drawn.
 #[derive(Debug, thiserror::Error)]
@@ -111,7 +109,10 @@ pub struct Renderer {
 }
 
 enum Device {
-    Cpu { pass: PointsCpu, picture: Option<Picture> },
+    Cpu {
+        pass: PointsCpu,
+        picture: Option<Picture>,
+    },
     #[cfg(feature = "gpu")]
     Gpu(Box<OnGpu>),
 }
@@ -313,12 +314,7 @@ impl Renderer {
 
     /// The drawn point that is nearest on screen to a pixel of the last frame, within `radius_px`:
     /// its place in the world (as exact as one pixel). Waits for the GPU.
-    pub fn pick(
-        &self,
-        x_px: u32,
-        y_px: u32,
-        radius_px: u32,
-    ) -> Result<Option<DVec3>, FrameError> {
+    pub fn pick(&self, x_px: u32, y_px: u32, radius_px: u32) -> Result<Option<DVec3>, FrameError> {
         let Some((view, ..)) = &self.last else { return Ok(None) };
         let (width, height) = (view.width_px, view.height_px);
         if x_px >= width || y_px >= height {
@@ -574,8 +570,7 @@ impl Renderer {
             #[cfg(feature = "gpu")]
             Device::Gpu(on_gpu) => {
                 let gpu = &on_gpu.gpu;
-                let fits =
-                    self.cache.insert_on_device(gpu, node, depth, &words, position_words)?;
+                let fits = self.cache.insert_on_device(gpu, node, depth, &words, position_words)?;
                 if fits {
                     self.stats.bytes_uploaded += 4 * words.len() as u64;
                 }
@@ -629,7 +624,8 @@ impl Renderer {
         let frame = tile.gpu_frame(view, &settings.cut.splat, settings.background);
         match &mut self.device {
             Device::Cpu { pass, picture } => {
-                let mut words = vec![NodeWords { positions: &[], colors: &[] }; self.table.nodes.len()];
+                let mut words =
+                    vec![NodeWords { positions: &[], colors: &[] }; self.table.nodes.len()];
                 for draw in &self.table.draws {
                     let ready = self.cache.get((draw.cloud, draw.node));
                     if let Some(ready) = ready

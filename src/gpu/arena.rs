@@ -92,8 +92,7 @@ impl WordArena {
         let needed_bytes = (4 * u64::from(count)).next_multiple_of(256);
         let usual_bytes = FIRST_SHARD_BYTES << self.shards.len().min(16);
         let allowed_bytes = self.limit_bytes.saturating_sub(self.held_bytes()) & !0xff;
-        let size =
-            usual_bytes.max(needed_bytes).min(self.max_shard_bytes).min(allowed_bytes);
+        let size = usual_bytes.max(needed_bytes).min(self.max_shard_bytes).min(allowed_bytes);
         if size < needed_bytes {
             return Ok(false);
         }

@@ -122,7 +122,11 @@ pub const STRUCTS: &[StructLayout] = &[GpuFrame::LAYOUT, GpuNode::LAYOUT, GpuBat
 
 /// WGSL text that declares the shared constants; every shader starts with it.
 pub fn prelude() -> String {
-    [("WORKGROUP_SIZE", WORKGROUP_SIZE), ("BATCH_POINTS", BATCH_POINTS), ("NARROW_BITS", NARROW_BITS)]
-        .map(|(name, value)| format!("const {name}: u32 = {value}u;\n"))
-        .concat()
+    [
+        ("WORKGROUP_SIZE", WORKGROUP_SIZE),
+        ("BATCH_POINTS", BATCH_POINTS),
+        ("NARROW_BITS", NARROW_BITS),
+    ]
+    .map(|(name, value)| format!("const {name}: u32 = {value}u;\n"))
+    .concat()
 }

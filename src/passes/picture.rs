@@ -104,9 +104,8 @@ impl Tile {
         let camera = &view.camera;
         let focal_px = view.focal_px();
         let (right, down) = (camera.right() * focal_px, camera.up * -focal_px);
-        let column = |axis: usize| {
-            [right[axis] as f32, down[axis] as f32, camera.forward[axis] as f32, 0.0]
-        };
+        let column =
+            |axis: usize| [right[axis] as f32, down[axis] as f32, camera.forward[axis] as f32, 0.0];
         let center = |size: u32, start: u32| (0.5 * f64::from(size) - f64::from(start)) as f32;
         GpuFrame {
             screen_from_world_x: column(0),

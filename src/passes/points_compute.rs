@@ -43,25 +43,21 @@ impl PointsCompute {
             let fragment = wgpu::ShaderStages::FRAGMENT;
             let read_only = wgpu::BufferBindingType::Storage { read_only: true };
             let read_write = wgpu::BufferBindingType::Storage { read_only: false };
-            let frame_layout = layout(
-                gpu,
-                "frame",
-                &[(compute | fragment, wgpu::BufferBindingType::Uniform)],
-            );
+            let frame_layout =
+                layout(gpu, "frame", &[(compute | fragment, wgpu::BufferBindingType::Uniform)]);
             let scene_layout = layout(gpu, "nodes, words, batches", &[(compute, read_only); 3]);
             let draw_pixels_layout = layout(gpu, "pixels, drawn", &[(compute, read_write)]);
             let resolve_pixels_layout = layout(gpu, "pixels, resolved", &[(fragment, read_only)]);
-            let points =
-                compute_pipeline(gpu, &points_shader, &[
-                    Some(&frame_layout),
-                    Some(&scene_layout),
-                    Some(&draw_pixels_layout),
-                ]);
-            let resolve = resolve_pipeline(gpu, &resolve_shader, &[
-                Some(&frame_layout),
-                None,
-                Some(&resolve_pixels_layout),
-            ]);
+            let points = compute_pipeline(
+                gpu,
+                &points_shader,
+                &[Some(&frame_layout), Some(&scene_layout), Some(&draw_pixels_layout)],
+            );
+            let resolve = resolve_pipeline(
+                gpu,
+                &resolve_shader,
+                &[Some(&frame_layout), None, Some(&resolve_pixels_layout)],
+            );
             let storage = wgpu::BufferUsages::STORAGE;
             PointsCompute {
                 points,
@@ -131,11 +127,15 @@ impl PointsCompute {
             for (shard, range) in &self.batch_list.by_shard {
                 let first_byte = range.start as u64 * BATCH_BYTES;
                 let bytes = range.len() as u64 * BATCH_BYTES;
-                let scene = bind(gpu, &self.scene_layout, &[
-                    part(nodes, 0, size_of_val(&table.nodes[..]) as u64),
-                    whole(arena.buffer(*shard)),
-                    part(batches, first_byte, bytes),
-                ]);
+                let scene = bind(
+                    gpu,
+                    &self.scene_layout,
+                    &[
+                        part(nodes, 0, size_of_val(&table.nodes[..]) as u64),
+                        whole(arena.buffer(*shard)),
+                        part(batches, first_byte, bytes),
+                    ],
+                );
                 pass.set_bind_group(1, &scene, &[]);
                 let row = (range.len() as u32).min(MAX_WORKGROUPS_PER_ROW);
                 pass.dispatch_workgroups(row, (range.len() as u32).div_ceil(row), 1);
@@ -181,7 +181,10 @@ impl PointsCompute {
 
     /// Bytes held on the device.
     pub fn held_bytes(&self) -> u64 {
-        [&self.frame, &self.nodes, &self.batches, &self.pixels].map(GrowingBuffer::held_bytes).iter().sum()
+        [&self.frame, &self.nodes, &self.batches, &self.pixels]
+            .map(GrowingBuffer::held_bytes)
+            .iter()
+            .sum()
     }
 }
 

@@ -34,8 +34,7 @@ impl PointsRaster {
         gpu.checked("build the raster point pass", || {
             let vertex = wgpu::ShaderStages::VERTEX;
             let read_only = wgpu::BufferBindingType::Storage { read_only: true };
-            let frame_layout =
-                layout(gpu, "frame", &[(vertex, wgpu::BufferBindingType::Uniform)]);
+            let frame_layout = layout(gpu, "frame", &[(vertex, wgpu::BufferBindingType::Uniform)]);
             let scene_layout = layout(gpu, "nodes, words", &[(vertex, read_only); 2]);
             let groups = gpu.device().create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
                 label: Some("points"),

@@ -109,12 +109,7 @@ pub fn project(frame: &GpuFrame, node: &GpuNode, cell: [u32; 3]) -> Option<([f32
 
 /// The square of a point: centred on it, its side rounded up to whole pixels.
 #[inline]
-pub fn splat_of(
-    frame: &GpuFrame,
-    nodes: &[GpuNode],
-    slot: usize,
-    cell: [u32; 3],
-) -> Option<Splat> {
+pub fn splat_of(frame: &GpuFrame, nodes: &[GpuNode], slot: usize, cell: [u32; 3]) -> Option<Splat> {
     let node = &nodes[slot];
     let (center, w) = project(frame, node, cell)?;
     let mut size = 1.0;

@@ -10,6 +10,7 @@ mod error;
 mod header;
 mod metadata;
 mod reader;
+mod records;
 mod writer;
 
 pub use check::{CheckReport, Finding, check};
@@ -22,4 +23,5 @@ pub use metadata::{
     position_shape, sections_for,
 };
 pub use reader::Store;
+pub use records::RecordError;
 pub use writer::{AppendixPart, EncodedNode, StoreWriter};

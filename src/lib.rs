@@ -14,5 +14,6 @@ pub mod octree;
 pub mod output;
 pub mod passes;
 pub mod points;
+pub mod sampling;
 pub mod select;
 pub mod store;

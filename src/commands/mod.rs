@@ -6,6 +6,7 @@
 mod check;
 mod convert;
 mod export;
+mod generate;
 mod info;
 mod inputs;
 mod progress;
@@ -29,6 +30,8 @@ struct Cli {
 enum Command {
     /// Convert scans into one store
     Convert(convert::ConvertArgs),
+    /// Write a made-up scan of any size
+    Generate(generate::GenerateArgs),
     /// Tell a scan's or a store's facts
     Info(info::InfoArgs),
     /// Read every byte of a store and verify it
@@ -42,6 +45,7 @@ pub fn main() -> ExitCode {
     let cli = Cli::parse();
     let outcome = match cli.command {
         Command::Convert(args) => convert::run(args),
+        Command::Generate(args) => generate::run(args),
         Command::Info(args) => info::run(args),
         Command::Check(args) => check::run(args),
         Command::Export(args) => export::run(args),

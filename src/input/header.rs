@@ -22,6 +22,12 @@ pub mod place {
     pub const GLOBAL_ENCODING: usize = 6;
     /// u8, minor version.
     pub const MINOR_VERSION: usize = 25;
+    /// 32 bytes of text.
+    pub const SYSTEM_IDENTIFIER: usize = 26;
+    /// 32 bytes of text.
+    pub const GENERATING_SOFTWARE: usize = 58;
+    /// u16 day of the year, u16 year.
+    pub const CREATION: usize = 90;
     /// u16.
     pub const HEADER_BYTES: usize = 94;
     /// u32.

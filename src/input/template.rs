@@ -5,8 +5,10 @@
 use serde::{Deserialize, Serialize};
 
 use super::error::LasFault;
-use super::header::LasHeader;
+use super::header::{LasHeader, place};
+use super::point_format::PointFormat;
 use super::vlr::{self, Vlr};
+use crate::points::Lattice;
 
 /// A range of bytes in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -73,5 +75,98 @@ impl LasTemplate {
         let header = self.header();
         vlr::vlrs(&self.vlrs, header.vlr_count, u64::from(header.header_bytes))
             .expect("the region was checked")
+    }
+}
+
+/// What a header says besides counts and bounds, for files that no scanner wrote.
+#[derive(Clone, Copy, Debug)]
+pub struct NewScan<'a> {
+    /// Minor version, 0 to 4; at least what the point format needs.
+    pub minor: u8,
+    /// The point format.
+    pub point_format: PointFormat,
+    /// Bytes of each record after the point format's own.
+    pub extra_bytes: u16,
+    /// The lattice of the coordinates.
+    pub lattice: Lattice,
+    /// What was done, at most 32 bytes.
+    pub system_identifier: &'a str,
+    /// The program, at most 32 bytes.
+    pub generating_software: &'a str,
+    /// Day of the year and year of creation; zeros where the file must not depend on the day.
+    pub creation: (u16, u16),
+}
+
+impl LasTemplate {
+    /// The template of a file without variable length records.
+    ///
+    /// GPS times count as adjusted standard time; where the point format demands it, the reference
+    /// system counts as well-known text.
+    pub fn for_new_scan(scan: &NewScan) -> Self {
+        let header_bytes: u16 = match scan.minor {
+            0..=2 => 227,
+            3 => 235,
+            _ => 375,
+        };
+        let mut header = vec![0; usize::from(header_bytes)];
+        let mut put = |at: usize, value: &[u8]| {
+            header[at..at + value.len()].copy_from_slice(value);
+        };
+        let adjusted_time = u16::from(scan.minor >= 2);
+        let well_known_text = u16::from(scan.point_format.is_extended()) << 4;
+        let record_bytes = scan.point_format.base_bytes() + scan.extra_bytes;
+        let field = |text: &str| {
+            let mut field = [0; 32];
+            let length = text.len().min(32);
+            field[..length].copy_from_slice(&text.as_bytes()[..length]);
+            field
+        };
+        put(0, b"LASF");
+        put(place::GLOBAL_ENCODING, &(adjusted_time | well_known_text).to_le_bytes());
+        put(place::MINOR_VERSION - 1, &[1, scan.minor]);
+        put(place::SYSTEM_IDENTIFIER, &field(scan.system_identifier));
+        put(place::GENERATING_SOFTWARE, &field(scan.generating_software));
+        put(place::CREATION, &scan.creation.0.to_le_bytes());
+        put(place::CREATION + 2, &scan.creation.1.to_le_bytes());
+        put(place::HEADER_BYTES, &header_bytes.to_le_bytes());
+        put(place::POINT_DATA_OFFSET, &u32::from(header_bytes).to_le_bytes());
+        put(place::POINT_FORMAT, &[scan.point_format.number()]);
+        put(place::RECORD_BYTES, &record_bytes.to_le_bytes());
+        for axis in 0..3 {
+            put(place::SCALE + 8 * axis, &scan.lattice.scale[axis].to_le_bytes());
+            put(place::OFFSET + 8 * axis, &scan.lattice.offset[axis].to_le_bytes());
+        }
+        LasTemplate { header, vlrs: Vec::new(), evlrs: Vec::new() }
+    }
+
+    /// The same file with one more VLR at the end of its region.
+    pub fn with_vlr(
+        mut self,
+        user_id: &str,
+        record_id: u16,
+        data: &[u8],
+    ) -> Result<Self, LasFault> {
+        let header = self.header();
+        let mut record = vec![0; vlr::VLR_HEADER_BYTES];
+        let user_id = &user_id.as_bytes()[..user_id.len().min(16)];
+        record[2..2 + user_id.len()].copy_from_slice(user_id);
+        record[18..20].copy_from_slice(&record_id.to_le_bytes());
+        let length = u16::try_from(data.len()).map_err(|_| LasFault::Limit {
+            what: "bytes of a VLR",
+            byte: u64::from(header.point_data_offset),
+            amount: data.len() as u64,
+            limit: u64::from(u16::MAX),
+        })?;
+        record[20..22].copy_from_slice(&length.to_le_bytes());
+        record.extend_from_slice(data);
+        let after_last = self.vlrs().last().map_or(0, |last| last.whole().end as usize);
+        let points_start = header.point_data_offset + record.len() as u32;
+        self.vlrs.splice(after_last..after_last, record);
+        let mut put = |at: usize, value: u32| {
+            self.header[at..at + 4].copy_from_slice(&value.to_le_bytes());
+        };
+        put(place::POINT_DATA_OFFSET, points_start);
+        put(place::VLR_COUNT, header.vlr_count + 1);
+        Ok(self)
     }
 }

@@ -51,9 +51,9 @@ impl Vlr {
         self.user_id == laz::LazVlr::USER_ID && self.record_id == laz::LazVlr::RECORD_ID
     }
 
-    /// Whether it holds the waveforms.
+    /// Whether it holds the waveforms. Some scanners' software spells the user id without F.
     pub fn is_waveform_data(&self) -> bool {
-        self.user_id == "LASF_Spec" && self.record_id == 65_535
+        ["LASF_Spec", "LAS_Spec"].contains(&self.user_id.as_str()) && self.record_id == 65_535
     }
 }
 

@@ -1,0 +1,127 @@
+//! `esker generate`: a made-up scan of any size, from a seed.
+
+use std::io;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::Context;
+use clap::{Args, ValueEnum};
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::quantities::parse_count;
+use crate::input::{LasTemplate, NewScan, PointFormat};
+use crate::output::{Compression, LasWriter};
+use crate::points::Lattice;
+use crate::sampling::{Random, scene, scene::Scene, scene::SceneSettings};
+
+/// Points made at once by one thread, and all threads together.
+const PART_POINTS: usize = 1 << 15;
+const BATCH_POINTS: usize = 1 << 19;
+
+/// What the points show.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Subject {
+    /// Hills, houses and trees, scanned from 48 stations and from the air
+    Scene,
+    /// A cube filled evenly
+    Cube,
+}
+
+/// Arguments of `esker generate`.
+#[derive(Debug, Args)]
+pub struct GenerateArgs {
+    /// File to write, .las or .laz
+    #[arg(short, long, value_name = "FILE")]
+    pub output: PathBuf,
+
+    /// Number of points, such as 50M
+    #[arg(long, default_value = "1M", value_parser = parse_count)]
+    pub points: u64,
+
+    /// Another seed gives other points
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+
+    /// What the points show
+    #[arg(long, value_enum, default_value_t = Subject::Scene)]
+    pub subject: Subject,
+
+    /// World coordinates of the lower corner
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_corner, default_value = "476000,5429000,300", allow_hyphen_values = true)]
+    pub origin: DVec3,
+
+    /// World length of one step of the coordinates
+    #[arg(long, default_value_t = 0.001)]
+    pub step: f64,
+}
+
+/// Writes the file.
+pub fn run(args: GenerateArgs) -> anyhow::Result<ExitCode> {
+    let suffix = args.output.extension().map(|suffix| suffix.to_ascii_lowercase());
+    let compression = match suffix.as_ref().and_then(|suffix| suffix.to_str()) {
+        Some("las") => Compression::None,
+        Some("laz") => Compression::Laz,
+        _ => anyhow::bail!("the output must end in .las or .laz: {}", args.output.display()),
+    };
+    anyhow::ensure!(args.step.is_finite() && args.step > 0.0, "--step must be above 0");
+    let settings = SceneSettings {
+        points: args.points,
+        seed: args.seed,
+        origin: args.origin,
+        step: args.step,
+    };
+    let scene = Scene::new(settings);
+    let (scale, offset) = scene.scale_and_offset();
+    let point_format = PointFormat::new(scene::POINT_FORMAT).expect("the scene's format exists");
+    let template = LasTemplate::for_new_scan(&NewScan {
+        minor: if args.points > u64::from(u32::MAX) { 4 } else { 2 },
+        point_format,
+        extra_bytes: 0,
+        lattice: Lattice { scale, offset },
+        system_identifier: "SYNTHETIC",
+        generating_software: "esker generate",
+        creation: (0, 0),
+    });
+    let (schema, _) = point_format.schema(scene::RECORD_BYTES as u16, &[]);
+    let mut writer = LasWriter::create(&args.output, &template, &schema, compression)?;
+    let mut records = vec![0; BATCH_POINTS * scene::RECORD_BYTES];
+    let mut first = 0;
+    while first < args.points {
+        let count = (args.points - first).min(BATCH_POINTS as u64) as usize;
+        let batch = &mut records[..count * scene::RECORD_BYTES];
+        let parts = batch.par_chunks_mut(PART_POINTS * scene::RECORD_BYTES).enumerate();
+        parts.for_each(|(part, records)| {
+            let first = first + (part * PART_POINTS) as u64;
+            scene.fill(first, records);
+            if args.subject == Subject::Cube {
+                spread(first, records, &args);
+            }
+        });
+        writer.write(batch)?;
+        first += count as u64;
+    }
+    let report = writer.finish(&mut io::empty())?;
+    eprintln!("{} points, {} bytes: {}", report.points, report.bytes, args.output.display());
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Moves the scene's points to even places in a cube with the scene's edge.
+fn spread(first: u64, records: &mut [u8], args: &GenerateArgs) {
+    let half = 0.5 * scene::SIDE / args.step;
+    for (index, record) in (first..).zip(records.chunks_exact_mut(scene::RECORD_BYTES)) {
+        let mut random = Random::new(args.seed ^ 0x00c0_be00, index);
+        for coordinate in record[..12].chunks_exact_mut(4) {
+            coordinate.copy_from_slice(&(random.between(-half, half) as i32).to_le_bytes());
+        }
+    }
+}
+
+fn parse_corner(text: &str) -> anyhow::Result<DVec3> {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse()).collect();
+    let numbers = numbers.with_context(|| format!("'{text}' is not X,Y,Z"))?;
+    let corner: [f64; 3] =
+        numbers.try_into().map_err(|_| anyhow::anyhow!("'{text}' is not X,Y,Z"))?;
+    anyhow::ensure!(corner.iter().all(|axis| axis.is_finite()), "'{text}' is not finite");
+    Ok(corner.into())
+}

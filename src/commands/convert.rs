@@ -107,7 +107,7 @@ pub fn run(args: ConvertArgs) -> anyhow::Result<ExitCode> {
 }
 
 /// A flag that SIGINT, SIGTERM and SIGHUP set.
-fn cancelled_by_signal() -> Arc<AtomicBool> {
+pub(super) fn cancelled_by_signal() -> Arc<AtomicBool> {
     let cancelled = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&cancelled);
     // Fails only if a handler is there already, and then that one serves.

@@ -11,6 +11,7 @@ mod info;
 mod inputs;
 mod progress;
 mod quantities;
+mod render;
 
 use std::process::ExitCode;
 
@@ -36,6 +37,8 @@ enum Command {
     Info(info::InfoArgs),
     /// Read every byte of a store and verify it
     Check(check::CheckArgs),
+    /// Draw stores and scans into a picture, without a window
+    Render(render::RenderArgs),
     /// Write a store's points to a scan file
     Export(export::ExportArgs),
 }
@@ -48,6 +51,7 @@ pub fn main() -> ExitCode {
         Command::Generate(args) => generate::run(args),
         Command::Info(args) => info::run(args),
         Command::Check(args) => check::run(args),
+        Command::Render(args) => render::run(args),
         Command::Export(args) => export::run(args),
     };
     match outcome {

@@ -51,6 +51,20 @@ impl FromStr for ColorMode {
     }
 }
 
+impl ColorMode {
+    /// Whether a cloud has what this mode shows.
+    pub fn is_offered_by(&self, source: &dyn NodeSource) -> bool {
+        let has = |name: &str| source.schema().find(name).is_some();
+        match self {
+            ColorMode::Auto | ColorMode::Elevation => true,
+            ColorMode::Rgb => source.has_colors(),
+            ColorMode::Intensity => has(names::INTENSITY),
+            ColorMode::Class => has(names::CLASSIFICATION),
+            ColorMode::Attribute(name) => has(name),
+        }
+    }
+}
+
 impl fmt::Display for ColorMode {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {

@@ -38,6 +38,7 @@ pub(super) fn las_layout(
     let record_bytes = u64::from(header.record_bytes);
     let claimed = header.claimed_count();
     let available = (end - start) / record_bytes;
+    let rest = (end - start) % record_bytes;
     let mut warnings = Vec::new();
     let mut points = available;
     if available < claimed {
@@ -54,6 +55,11 @@ pub(super) fn las_layout(
             points = claimed;
             let bytes = end - start - claimed * record_bytes;
             warnings.push(format!("{bytes} bytes of zeros after the last record are left out"));
+        } else if rest > 0 {
+            // What does not end on a record is more likely something else than more points.
+            points = claimed;
+            let bytes = end - start - claimed * record_bytes;
+            warnings.push(format!("{bytes} bytes after the last record are left out"));
         } else {
             let more = available - claimed;
             warnings.push(format!(
@@ -61,8 +67,7 @@ pub(super) fn las_layout(
             ));
         }
     }
-    let rest = (end - start) % record_bytes;
-    if points == available && rest > 0 {
+    if available <= claimed && rest > 0 {
         warnings.push(format!("{rest} bytes after the last whole record are left out"));
     }
     let batch = batch_records(header.record_bytes);

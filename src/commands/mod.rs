@@ -3,6 +3,7 @@
 //! Results go to standard output, messages to standard error. Exit codes: 0 done; 1 the input or a
 //! store is bad or the run failed, with one line that says why; 2 wrong usage; 130 interrupted.
 
+mod bench;
 mod check;
 mod convert;
 mod export;
@@ -29,6 +30,8 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// Measure speed against error
+    Bench(bench::BenchArgs),
     /// Convert scans into one store
     Convert(convert::ConvertArgs),
     /// Write a made-up scan of any size
@@ -47,6 +50,7 @@ enum Command {
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
     let outcome = match cli.command {
+        Command::Bench(args) => bench::run(args),
         Command::Convert(args) => convert::run(args),
         Command::Generate(args) => generate::run(args),
         Command::Info(args) => info::run(args),

@@ -7,11 +7,13 @@
 
 mod color;
 mod node_cache;
+mod reference;
 mod renderer;
 mod source;
 mod stats;
 
 pub use color::{ColorMode, class_color};
+pub use reference::reference_picture;
 pub use renderer::{FrameError, FrameSettings, Loading, RasterPath, Renderer};
 pub use source::NodeSource;
 pub use stats::{FrameStats, PassTime};

@@ -9,6 +9,7 @@
 mod draw_table;
 mod picture;
 mod points_cpu;
+mod reference;
 pub mod splat;
 
 #[cfg(feature = "gpu")]
@@ -21,6 +22,7 @@ mod targets;
 pub use draw_table::{Batches, CloudDraw, DrawTable, DrawnNode, NodePlace};
 pub use picture::{Picture, Tile};
 pub use points_cpu::{NodeWords, PointsCpu};
+pub use reference::reference_picture;
 
 /// What the commands of one drawing contain.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -1,0 +1,76 @@
+//! A fixed set of views of a scan, derived from its points: the same for every run.
+//!
+//! From outside, from above, from afar, near the surface, among the points, and along the longest
+//! axis, so that a cut meets each of its cases: all of a cloud small on screen, little of it large,
+//! and a large range of depths.
+
+use glam::{DVec3, I64Vec3, UVec3};
+
+use crate::frame::NodeSource;
+use crate::geometry::{Camera, MortonKey, View};
+use crate::ids::NodeId;
+use crate::store::{NARROW_BITS, NodeReadError};
+
+/// Vertical field of view of all cameras, degrees.
+const FOV_Y_DEG: f64 = 60.0;
+
+/// The views by name; none of a cloud without points.
+pub fn views_of(
+    source: &dyn NodeSource,
+    (width_px, height_px): (u32, u32),
+) -> Result<Vec<(&'static str, View)>, NodeReadError> {
+    let sample = root_points(source)?;
+    let bounds = source.bounds();
+    if sample.is_empty() || bounds.is_empty() {
+        return Ok(Vec::new());
+    }
+    let center = bounds.center();
+    let radius = (0.5 * bounds.diagonal()).max(1e-3);
+    let middle = DVec3::from_array([0, 1, 2].map(|axis| {
+        let mut values: Vec<f64> = sample.iter().map(|point| point[axis]).collect();
+        let half = values.len() / 2;
+        *values.select_nth_unstable_by(half, f64::total_cmp).1
+    }));
+    let along = if bounds.size().x >= bounds.size().y { DVec3::X } else { DVec3::Y };
+    let across = DVec3::new(along.y, along.x, 0.0);
+    let rise = DVec3::Z * (0.04 * radius);
+    let start = center - along * (0.5 * bounds.size().dot(along));
+    let level = |place: DVec3| DVec3::new(place.x, place.y, middle.z);
+    // A real point to walk up to: where the sample, in Morton order, is three quarters through.
+    let spot = sample[sample.len() * 3 / 4];
+    let from = |x, y, z, distance| center + DVec3::new(x, y, z).normalize() * distance * radius;
+    let places = [
+        ("outside", from(1.0, -1.0, 0.7, 2.0), center),
+        ("far", from(-1.0, -0.4, 0.3, 8.0), center),
+        ("top", from(0.0, 0.0, 1.0, 1.8), center),
+        ("oblique near", middle + DVec3::new(-0.6, -0.8, 0.5) * (0.3 * radius), middle),
+        ("inside low", level(middle) + rise, level(middle) + along * radius + 0.5 * rise),
+        ("inside high", level(middle) + 4.0 * rise, level(middle) + (along + across) * radius),
+        ("along axis", level(start) + rise, level(start) + along * (2.0 * radius)),
+        ("close", spot + DVec3::new(0.5, 0.6, 0.6) * (0.03 * radius), spot),
+    ];
+    let near = 1e-4 * radius;
+    let view = |(name, eye, target)| {
+        let camera = Camera::looking_at(eye, target, DVec3::Z, FOV_Y_DEG.to_radians(), near);
+        (name, View { camera, width_px, height_px })
+    };
+    Ok(places.into_iter().map(view).collect())
+}
+
+/// World positions of the root's points, an even sample of the whole cloud, coarse to fine.
+fn root_points(source: &dyn NodeSource) -> Result<Vec<DVec3>, NodeReadError> {
+    let octree = source.octree();
+    if octree.nodes().is_empty() {
+        return Ok(Vec::new());
+    }
+    let mut words = Vec::new();
+    source.read_positions(NodeId::ROOT, &mut words)?;
+    let narrow = octree.local_bits(NodeId::ROOT) <= NARROW_BITS;
+    let cells = words.chunks_exact(if narrow { 2 } else { 3 }).map(|point| match *point {
+        [low, high] => (u64::from(low) | u64::from(high) << 32).decode(),
+        _ => [point[0], point[1], point[2]],
+    });
+    let min: I64Vec3 = octree.cell_min(NodeId::ROOT);
+    let world = |cell: [u32; 3]| octree.lattice().world(min + UVec3::from_array(cell).as_i64vec3());
+    Ok(cells.map(world).collect())
+}

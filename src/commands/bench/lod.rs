@@ -1,0 +1,414 @@
+//! The suite `lod`: what a picture costs against how far it is from the reference picture.
+//!
+//! Two studies over the same views. *Rules*: the four level rules at several error settings,
+//! splats of one pixel, no budget, so that only the choice of levels counts. *Sizes*: the four
+//! splat policies at rising budgets, the default rule at 1 pixel. Points and nodes repeat on any
+//! machine; times are the least of two warm frames and compare within one run only.
+
+use std::fmt::Write;
+use std::path::Path;
+use std::sync::Arc;
+
+use serde::Serialize;
+
+use crate::build::available_memory;
+use crate::commands::bench::plot::{Panel, Scale, Series, svg};
+use crate::commands::bench::{BenchArgs, cameras, open_all, write_file};
+use crate::frame::{ColorMode, FrameSettings, NodeSource, Renderer, reference_picture};
+use crate::geometry::View;
+use crate::metrics::{PictureError, Pixels, compare};
+use crate::passes::Picture;
+use crate::select::{CutSettings, LevelRule, SplatPolicy, SplatSettings};
+
+/// One picture: what was asked for, what it took, how far off it is. A row of the CSV file.
+#[derive(Clone, Debug, Serialize)]
+struct Row {
+    scan: String,
+    view: &'static str,
+    study: &'static str,
+    rule: &'static str,
+    splats: &'static str,
+    error_px: f64,
+    /// 0: none.
+    point_budget: u64,
+    points_drawn: u64,
+    nodes_drawn: u32,
+    select_ms: f64,
+    frame_ms: f64,
+    #[serde(flatten)]
+    error: PictureError,
+}
+
+const CSV_HEADER: &str = "scan,view,study,rule,splats,error_px,point_budget,points_drawn,\
+    nodes_drawn,select_ms,frame_ms,hole_fraction,excess_fraction,rmse,ssim";
+
+/// What is tried.
+struct Plan {
+    size: (u32, u32),
+    view_step: usize,
+    errors_px: &'static [f64],
+    budgets: &'static [u64],
+}
+
+impl Plan {
+    fn new(args: &BenchArgs) -> Self {
+        if args.quick {
+            Plan {
+                size: args.size.unwrap_or((640, 360)),
+                view_step: 2,
+                errors_px: &[1.0, 2.0],
+                budgets: &[50_000, 200_000, 800_000],
+            }
+        } else {
+            Plan {
+                size: args.size.unwrap_or((1280, 720)),
+                view_step: 1,
+                errors_px: &[0.5, 1.0, 2.0, 4.0],
+                budgets: &[
+                    25_000, 50_000, 100_000, 200_000, 400_000, 800_000, 1_600_000, 3_200_000,
+                    6_400_000,
+                ],
+            }
+        }
+    }
+}
+
+/// Runs the suite.
+pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
+    let plan = Plan::new(args);
+    let folder = tempfile::tempdir()?;
+    let mut csv = format!("{CSV_HEADER}\n");
+    for (name, store) in open_all(args, folder.path())? {
+        let points = store.octree().point_count();
+        let nodes = store.octree().nodes().len();
+        let (width, height) = plan.size;
+        println!("{name}: {points} points, {nodes} nodes; {width}x{height}, drawn by the CPU\n");
+        let rows = measure(&name, Arc::new(store), &plan)?;
+        rows.iter().for_each(|row| write_csv_row(&mut csv, row));
+        print!("{}", rules_by_view(&rows));
+        print!("{}", means(&rows, "rules", |row| (row.rule, format!("{} px", row.error_px))));
+        print!("{}", means(&rows, "sizes", |row| (row.splats, budget_name(row.point_budget))));
+        write_plot(&args.output, &name, &rows)?;
+    }
+    let path = args.output.join("lod.csv");
+    write_file(&path, &csv)?;
+    println!("rows and plots are in {}", args.output.display());
+    Ok(())
+}
+
+/// All pictures of one scan.
+fn measure(name: &str, source: Arc<dyn NodeSource>, plan: &Plan) -> anyhow::Result<Vec<Row>> {
+    let mut rows = Vec::new();
+    let mut renderer = Renderer::on_cpu(available_memory() / 2);
+    renderer.set_scene(vec![Arc::clone(&source)]);
+    let color = ColorMode::Auto;
+    let points = source.octree().point_count();
+    let views = cameras::views_of(source.as_ref(), plan.size)?;
+    for (view_name, view) in views.into_iter().step_by(plan.view_step) {
+        let background = FrameSettings::default().background;
+        let reference = reference_picture(source.as_ref(), &view, &color, background)?;
+        if reference.covered() == 0 {
+            continue;
+        }
+        let mut add = |study, cut: CutSettings| -> anyhow::Result<()> {
+            let settings = FrameSettings { cut, color: color.clone(), ..FrameSettings::default() };
+            let drawn = draw(&mut renderer, &view, &settings)?;
+            let unlimited = cut.point_budget >= points;
+            rows.push(Row {
+                scan: name.to_owned(),
+                view: view_name,
+                study,
+                rule: cut.rule.name(),
+                splats: if study == "rules" { "1 px" } else { cut.splat.policy.name() },
+                error_px: cut.error_px,
+                point_budget: if unlimited { 0 } else { cut.point_budget },
+                points_drawn: drawn.points_drawn,
+                nodes_drawn: drawn.nodes_drawn,
+                select_ms: drawn.select_ms,
+                frame_ms: drawn.frame_ms,
+                error: compare(pixels(&reference), pixels(&drawn.picture)),
+            });
+            Ok(())
+        };
+        for rule in LevelRule::FOUR {
+            for &error_px in plan.errors_px {
+                let one_px = SplatSettings {
+                    policy: SplatPolicy::Own,
+                    max_px: 1.0,
+                    ..SplatSettings::default()
+                };
+                let point_budget = points;
+                let cut = CutSettings { point_budget, error_px, rule, ..CutSettings::default() };
+                add("rules", CutSettings { splat: one_px, ..cut })?;
+            }
+        }
+        let budgets = plan.budgets.iter().copied().filter(|&budget| budget < points);
+        for point_budget in budgets.chain([points]) {
+            for policy in SplatPolicy::ALL {
+                let splat = SplatSettings { policy, ..SplatSettings::default() };
+                add("sizes", CutSettings { point_budget, splat, ..CutSettings::default() })?;
+            }
+        }
+    }
+    Ok(rows)
+}
+
+struct Drawn {
+    picture: Picture,
+    points_drawn: u64,
+    nodes_drawn: u32,
+    select_ms: f64,
+    frame_ms: f64,
+}
+
+/// Draws once to load what is needed, then twice for the time.
+fn draw(renderer: &mut Renderer, view: &View, settings: &FrameSettings) -> anyhow::Result<Drawn> {
+    let mut picture = renderer.render_picture(view, settings)?;
+    let (mut select_ms, mut frame_ms) = (f64::INFINITY, f64::INFINITY);
+    for _ in 0..2 {
+        picture = renderer.render_picture(view, settings)?;
+        let stats = renderer.stats();
+        let select = stats.passes.iter().find(|pass| pass.pass == "select");
+        select_ms = select_ms.min(select.map_or(0.0, |pass| pass.pass_ms));
+        frame_ms = frame_ms.min(stats.frame_ms);
+    }
+    let stats = renderer.stats();
+    if let Some(problem) = stats.problems.first() {
+        anyhow::bail!("{problem}");
+    }
+    let (points_drawn, nodes_drawn) = (stats.points_drawn, stats.nodes_drawn);
+    Ok(Drawn { picture, points_drawn, nodes_drawn, select_ms, frame_ms })
+}
+
+fn pixels(picture: &Picture) -> Pixels<'_> {
+    Pixels { width_px: picture.width_px, colors: &picture.colors, distances: &picture.distances }
+}
+
+fn write_csv_row(csv: &mut String, row: &Row) {
+    let error = &row.error;
+    let scan = row.scan.replace([',', '"', '\n'], "_");
+    let result = writeln!(
+        csv,
+        "{scan},{},{},\"{}\",{},{},{},{},{},{:.4},{:.3},{:.8},{:.8},{:.4},{:.6}",
+        row.view,
+        row.study,
+        row.rule,
+        row.splats,
+        row.error_px,
+        row.point_budget,
+        row.points_drawn,
+        row.nodes_drawn,
+        row.select_ms,
+        row.frame_ms,
+        error.hole_fraction,
+        error.excess_fraction,
+        error.rmse,
+        error.ssim
+    );
+    result.expect("a string takes all text");
+}
+
+/// The rules side by side for each view, at the wanted error of one pixel.
+fn rules_by_view(rows: &[Row]) -> String {
+    let rows: Vec<&Row> =
+        rows.iter().filter(|row| row.study == "rules" && row.error_px == 1.0).collect();
+    let views = unique(rows.iter().map(|row| row.view));
+    let rules = unique(rows.iter().map(|row| row.rule));
+    let mut out = String::from(
+        "Rules at 1 px, splats of 1 px, no budget: points drawn, share of the reference's pixels \
+         left empty, colour RMSE\n",
+    );
+    let mut line = |name: &str, cells: Vec<String>| {
+        let cells: String = cells.iter().map(|cell| format!("{cell:>26}")).collect();
+        out.push_str(&format!("{name:<14}{cells}\n"));
+    };
+    line("view", rules.iter().map(|rule| rule.to_string()).collect());
+    for view in views {
+        let cell = |rule: &&str| {
+            let row = rows.iter().find(|row| row.view == view && row.rule == *rule);
+            row.map_or(String::new(), |row| cell(row.points_drawn as f64, &row.error))
+        };
+        line(view, rules.iter().map(cell).collect());
+    }
+    let of_rule =
+        |rule: &str| -> Vec<&Row> { rows.iter().copied().filter(|row| row.rule == rule).collect() };
+    line(
+        "mean",
+        rules
+            .iter()
+            .map(|rule| {
+                let rows = of_rule(rule);
+                let mean = Mean::of(&rows);
+                cell(mean.points, &mean.error)
+            })
+            .collect(),
+    );
+    line(
+        "most holes",
+        rules.iter().map(|rule| percent(Mean::of(&of_rule(rule)).most_holes)).collect(),
+    );
+    out.push('\n');
+    out
+}
+
+fn cell(points: f64, error: &PictureError) -> String {
+    format!("{} {:>9} {:>5.2}", count(points), percent(error.hole_fraction), error.rmse)
+}
+
+/// Means over the views for each pair of names.
+fn means(
+    rows: &[Row],
+    study: &'static str,
+    names: impl Fn(&Row) -> (&'static str, String),
+) -> String {
+    let rows: Vec<&Row> = rows.iter().filter(|row| row.study == study).collect();
+    let title = match study {
+        "rules" => "Rules and error settings, splats of 1 px, no budget",
+        _ => "Splat sizes and budgets, parent cell, edge, at 1 px",
+    };
+    let mut out = format!(
+        "{title}: means over the views\n{:<24}{:<10}{:>9}{:>9}{:>11}{:>10}{:>11}{:>11}{:>8}{:>8}\n",
+        study,
+        "setting",
+        "points",
+        "nodes",
+        "select ms",
+        "frame ms",
+        "holes",
+        "most holes",
+        "RMSE",
+        "SSIM"
+    );
+    for (name, setting) in unique(rows.iter().map(|row| names(row))) {
+        let group: Vec<&Row> =
+            rows.iter().copied().filter(|row| names(row) == (name, setting.clone())).collect();
+        let mean = Mean::of(&group);
+        out.push_str(&format!(
+            "{name:<24}{setting:<10}{:>9}{:>9.0}{:>11.3}{:>10.1}{:>11}{:>11}{:>8.2}{:>8.4}\n",
+            count(mean.points),
+            mean.nodes,
+            mean.select_ms,
+            mean.frame_ms,
+            percent(mean.error.hole_fraction),
+            percent(mean.most_holes),
+            mean.error.rmse,
+            mean.error.ssim
+        ));
+    }
+    out.push('\n');
+    out
+}
+
+/// Means over rows.
+struct Mean {
+    points: f64,
+    nodes: f64,
+    select_ms: f64,
+    frame_ms: f64,
+    error: PictureError,
+    most_holes: f64,
+}
+
+impl Mean {
+    fn of(rows: &[&Row]) -> Self {
+        let mean = |value: &dyn Fn(&Row) -> f64| {
+            rows.iter().map(|row| value(row)).sum::<f64>() / rows.len().max(1) as f64
+        };
+        Mean {
+            points: mean(&|row| row.points_drawn as f64),
+            nodes: mean(&|row| f64::from(row.nodes_drawn)),
+            select_ms: mean(&|row| row.select_ms),
+            frame_ms: mean(&|row| row.frame_ms),
+            error: PictureError {
+                hole_fraction: mean(&|row| row.error.hole_fraction),
+                excess_fraction: mean(&|row| row.error.excess_fraction),
+                rmse: mean(&|row| row.error.rmse),
+                ssim: mean(&|row| row.error.ssim),
+            },
+            most_holes: rows.iter().map(|row| row.error.hole_fraction).fold(0.0, f64::max),
+        }
+    }
+}
+
+fn write_plot(folder: &Path, name: &str, rows: &[Row]) -> anyhow::Result<()> {
+    let x_of = |row: &Mean| row.points;
+    let time_of = |row: &Mean| row.frame_ms;
+    let holes = |mean: &Mean| 100.0 * mean.error.hole_fraction;
+    let rmse = |mean: &Mean| mean.error.rmse;
+    let unlike = |mean: &Mean| 1.0 - mean.error.ssim;
+    type Value = fn(&Mean) -> f64;
+    let columns: [(&str, Value, &str, Value); 4] = [
+        ("points drawn", x_of, "empty pixels, %", holes),
+        ("points drawn", x_of, "colour RMSE (0-255)", rmse),
+        ("points drawn", x_of, "1 - SSIM", unlike),
+        ("frame time, ms", time_of, "colour RMSE (0-255)", rmse),
+    ];
+    let mut panels = Vec::new();
+    for (study, title) in [("rules", "rules, error 0.5-4 px"), ("sizes", "splat sizes, budgets")] {
+        let rows: Vec<&Row> = rows.iter().filter(|row| row.study == study).collect();
+        let line_of = |row: &Row| if study == "rules" { row.rule } else { row.splats };
+        for (x_label, x, y_label, y) in columns {
+            let series = unique(rows.iter().map(|row| line_of(row))).into_iter().map(|line| {
+                let of_line: Vec<&Row> =
+                    rows.iter().copied().filter(|row| line_of(row) == line).collect();
+                let settings =
+                    unique(of_line.iter().map(|row| (row.error_px.to_bits(), row.point_budget)));
+                let mut points: Vec<(f64, f64)> = settings
+                    .into_iter()
+                    .map(|setting| {
+                        let group: Vec<&Row> = of_line
+                            .iter()
+                            .copied()
+                            .filter(|row| (row.error_px.to_bits(), row.point_budget) == setting)
+                            .collect();
+                        let mean = Mean::of(&group);
+                        (x(&mean), y(&mean))
+                    })
+                    .collect();
+                points.sort_by(|a, b| a.0.total_cmp(&b.0));
+                Series { name: line.to_owned(), points }
+            });
+            panels.push(Panel {
+                title: title.to_owned(),
+                x_label: x_label.to_owned(),
+                y_label: y_label.to_owned(),
+                x_scale: Scale::Log,
+                y_scale: Scale::Log,
+                series: series.collect(),
+            });
+        }
+    }
+    let heading = format!("{name}: error against the reference picture, mean over the views");
+    write_file(&folder.join(format!("lod-{name}.svg")), &svg(&heading, &panels, 4))
+}
+
+/// The different values, in order of appearance.
+fn unique<T: PartialEq>(values: impl IntoIterator<Item = T>) -> Vec<T> {
+    let mut seen = Vec::new();
+    for value in values {
+        if !seen.contains(&value) {
+            seen.push(value);
+        }
+    }
+    seen
+}
+
+fn budget_name(point_budget: u64) -> String {
+    match point_budget {
+        0 => "all".into(),
+        budget => count(budget as f64).trim().into(),
+    }
+}
+
+/// A count in thousands or millions.
+fn count(points: f64) -> String {
+    match points {
+        p if p < 9_995.0 => format!("{p:>7.0}"),
+        p if p < 999_500.0 => format!("{:>6.0}k", p / 1e3),
+        p => format!("{:>6.2}M", p / 1e6),
+    }
+}
+
+fn percent(share: f64) -> String {
+    format!("{:.3} %", 100.0 * share)
+}

@@ -1,0 +1,77 @@
+//! `esker bench`: suites that put run time and deterministic counts against error, in one run.
+
+mod cameras;
+mod lod;
+mod plot;
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::atomic::AtomicBool;
+
+use anyhow::Context;
+use clap::{Args, ValueEnum};
+
+use crate::build::{self, ConvertOptions, Silent};
+use crate::commands::inputs;
+use crate::commands::quantities::parse_picture_size;
+use crate::store::Store;
+
+/// Arguments of `esker bench`.
+#[derive(Debug, Args)]
+pub struct BenchArgs {
+    /// What is measured
+    #[arg(value_enum)]
+    suite: Suite,
+    /// Stores or scans; scans are converted into a temporary store first
+    #[arg(value_name = "FILE", required = true)]
+    files: Vec<PathBuf>,
+    /// Folder for the CSV file and the plots
+    #[arg(short, long, value_name = "DIR", default_value = "out/bench")]
+    output: PathBuf,
+    /// Fewer views and settings, smaller pictures
+    #[arg(long)]
+    quick: bool,
+    /// Size of the pictures [default: 1280x720, with --quick 640x360]
+    #[arg(long, value_name = "WxH", value_parser = parse_picture_size)]
+    size: Option<(u32, u32)>,
+}
+
+/// The suites.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Suite {
+    /// Level of detail: points drawn and time against holes, colour error and similarity
+    Lod,
+}
+
+/// Runs a suite.
+pub fn run(args: BenchArgs) -> anyhow::Result<ExitCode> {
+    std::fs::create_dir_all(&args.output)
+        .with_context(|| format!("{}: cannot make the folder", args.output.display()))?;
+    match args.suite {
+        Suite::Lod => lod::run(&args)?,
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The stores of the arguments, each with its name; scans are converted into `folder`.
+fn open_all(args: &BenchArgs, folder: &Path) -> anyhow::Result<Vec<(String, Store)>> {
+    let mut stores = Vec::new();
+    for path in inputs::expand(&args.files)? {
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let store = if inputs::is_scan(&path) {
+            let converted = folder.join(format!("{}-{stem}.esker", stores.len()));
+            let options = ConvertOptions::default();
+            let scan = std::slice::from_ref(&path);
+            build::convert(scan, &converted, &options, &Silent, &AtomicBool::new(false))?;
+            Store::open(&converted)?
+        } else {
+            Store::open(&path)?
+        };
+        stores.push((stem, store));
+    }
+    Ok(stores)
+}
+
+fn write_file(path: &Path, content: &str) -> anyhow::Result<()> {
+    std::fs::write(path, content).with_context(|| format!("{}: cannot write", path.display()))
+}

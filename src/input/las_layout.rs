@@ -38,10 +38,11 @@ pub(super) fn las_layout(
     let record_bytes = u64::from(header.record_bytes);
     let claimed = header.claimed_count();
     let available = (end - start) / record_bytes;
+    let rest = (end - start) % record_bytes;
     let mut warnings = Vec::new();
     let mut points = available;
     if available < claimed {
-        let vouched = end_is_known || header.count_witnesses().contains(&available);
+        let vouched = end_is_known || rest == 0 && header.count_witnesses().contains(&available);
         if !vouched {
             let record_end =
                 u128::from(start) + u128::from(available + 1) * u128::from(record_bytes);
@@ -61,7 +62,6 @@ pub(super) fn las_layout(
             ));
         }
     }
-    let rest = (end - start) % record_bytes;
     if points == available && rest > 0 {
         warnings.push(format!("{rest} bytes after the last whole record are left out"));
     }

@@ -231,8 +231,9 @@ fn lattice(raw: &las::raw::Header) -> Result<Lattice, LasFault> {
             let byte = byte(place::OFFSET);
             return Err(LasFault::Offset { axis, value: offset[i], byte });
         }
-        let reach = scale[i] * 2f64.powi(32);
-        if !(reach + offset[i].abs()).is_finite() || reach * 2f64.powi(-33) == 0.0 {
+        // A subnormal scale has no finite inverse.
+        let reach = scale[i] * 2f64.powi(32) + offset[i].abs();
+        if !reach.is_finite() || !scale[i].is_normal() {
             return Err(LasFault::Lattice { axis, scale: scale[i], offset: offset[i] });
         }
     }

@@ -42,7 +42,7 @@ pub(super) fn las_layout(
     let mut warnings = Vec::new();
     let mut points = available;
     if available < claimed {
-        let vouched = end_is_known || header.count_witnesses().contains(&available);
+        let vouched = end_is_known || rest == 0 && header.count_witnesses().contains(&available);
         if !vouched {
             let record_end =
                 u128::from(start) + u128::from(available + 1) * u128::from(record_bytes);
@@ -67,7 +67,7 @@ pub(super) fn las_layout(
             ));
         }
     }
-    if available <= claimed && rest > 0 {
+    if points == available && rest > 0 {
         warnings.push(format!("{rest} bytes after the last whole record are left out"));
     }
     let batch = batch_records(header.record_bytes);

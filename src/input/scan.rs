@@ -202,8 +202,7 @@ impl LasScan {
         let (schema, odd) = header.point_format.schema(header.record_bytes, &described);
         warnings.extend(odd);
 
-        let evlrs_start = evlrs.iter().map(|evlr| evlr.whole().start);
-        let after = evlrs_start.filter(|&start| start >= points_start).min();
+        let after = evlrs.iter().map(|evlr| evlr.whole().start).min();
         let end = after.unwrap_or(file_bytes);
         let coding = if header.compressed {
             let laszip = vlrs.iter().find(|vlr| vlr.is_laszip()).ok_or(LasFault::Laszip {
@@ -363,6 +362,18 @@ fn find_evlrs(file: &PositionedFile, header: &LasHeader) -> Result<Vec<Vlr>, Las
         if !evlrs.iter().any(|evlr| evlr.whole().contains(&start)) {
             evlrs.extend(vlr::evlrs(file, start, 1)?);
         }
+    }
+    let points_start = u64::from(header.point_data_offset);
+    if let Some((index, evlr)) =
+        (1..).zip(&evlrs).find(|(_, evlr)| evlr.whole().start < points_start)
+    {
+        return Err(LasFault::Record {
+            kind: "EVLR",
+            index,
+            count: evlrs.len() as u64,
+            byte: evlr.whole().start,
+            reason: format!("stands before the points, which start at byte {points_start}"),
+        });
     }
     Ok(evlrs)
 }

@@ -2,11 +2,20 @@
 
 #![allow(dead_code, reason = "each test binary uses a part")]
 
+use std::convert::Infallible;
+
 use super::insertion::{InputPoint, InsertedNode, Parameters, insert_all, octree_of};
-use esker::geometry::{Camera, View};
+use esker::geometry::{Camera, MortonKey, View};
+use esker::ids::NodeId;
 use esker::octree::Octree;
+use esker::passes::{
+    CloudDraw, DrawTable, NodePlace, NodeWords, Picture, PointsCpu, Tile, reference_picture,
+};
 use esker::points::Lattice;
+use esker::select::{Cut, SplatSettings};
 use glam::{DVec3, I64Vec3};
+
+const BACKGROUND: u32 = 0xff00_0000;
 
 /// A linear congruential generator (Knuth's MMIX constants), so that tests need no crate.
 pub struct Random(u64);
@@ -37,6 +46,8 @@ pub struct Scan {
     pub points: Vec<InputPoint>,
     pub nodes: Vec<InsertedNode>,
     pub octree: Octree,
+    /// Position and colour words per node.
+    words: Vec<(Vec<u32>, Vec<u32>)>,
 }
 
 impl Scan {
@@ -46,7 +57,10 @@ impl Scan {
             Lattice { scale: DVec3::splat(0.01), offset: DVec3::new(4.0e5, 5.2e6, 100.0) };
         let octree =
             octree_of(&points, &nodes, parameters, lattice, I64Vec3::new(1000, -2000, 500));
-        Scan { points, nodes, octree }
+        let mut scan = Scan { points, nodes, octree, words: Vec::new() };
+        let ids = (0..scan.nodes.len() as u32).map(NodeId);
+        scan.words = ids.map(|node| scan.words_of(node)).collect();
+        scan
     }
 
     /// World position of an input point.
@@ -54,6 +68,48 @@ impl Scan {
         let root = self.octree.root_cube().min;
         let position = self.points[point].position.map(i64::from);
         self.octree.lattice().world(root + I64Vec3::from_array(position))
+    }
+
+    fn words_of(&self, node: NodeId) -> (Vec<u32>, Vec<u32>) {
+        let bits = self.octree.local_bits(node);
+        assert!(bits <= 21, "the test clouds have narrow nodes");
+        let points = self.nodes[node.index()].points.iter().map(|&point| self.points[point]);
+        let positions = points.clone().flat_map(|point| {
+            let code = u64::encode(point.position.map(|c| c & ((1 << bits) - 1)));
+            [code as u32, (code >> 32) as u32]
+        });
+        let colors = points.clone().map(|point| {
+            let [r, g, b] = point.color.map(|c| c as u8);
+            u32::from_le_bytes([r, g, b, 255])
+        });
+        (positions.collect(), colors.collect())
+    }
+
+    /// The picture of a cut, drawn by the CPU pass.
+    pub fn draw(&self, cut: &Cut, view: &View, splat: &SplatSettings) -> Picture {
+        let place = |_| NodePlace::default();
+        let mut table = DrawTable::default();
+        table.fill(&[CloudDraw { octree: &self.octree, cut, place: &place }], view, splat);
+        assert_eq!(table.draws.len(), cut.draw.len(), "one draw per node");
+        let words = cut.table.iter().map(|row| {
+            let (positions, colors) = &self.words[row.node.index()];
+            NodeWords { positions, colors }
+        });
+        let words: Vec<NodeWords> = words.collect();
+        let frame = Tile::whole(view).gpu_frame(view, splat, BACKGROUND);
+        let mut pass = PointsCpu::default();
+        pass.draw(&frame, &table, &words);
+        pass.resolve(&frame)
+    }
+
+    /// The picture of all points, from f64.
+    pub fn reference(&self, view: &View) -> Picture {
+        let read = |node: NodeId, positions: &mut Vec<u32>, colors: &mut Vec<u32>| {
+            positions.clone_from(&self.words[node.index()].0);
+            colors.clone_from(&self.words[node.index()].1);
+            Ok::<(), Infallible>(())
+        };
+        reference_picture(&self.octree, view, BACKGROUND, read).expect("reading cannot fail")
     }
 
     pub fn center(&self) -> DVec3 {
@@ -107,11 +163,20 @@ pub fn courtyard(count: usize, bits: u32, seed: u64) -> Vec<InputPoint> {
         }
         let noise = random.vector(-0.5, 0.5) * 0.002;
         let position = ((place + noise) * edge).clamp(DVec3::ZERO, DVec3::splat(edge - 1.0));
-        let shade = (20.0 * random.unit()) as u16;
+        let shade = 10.0 * random.unit() + masonry(place);
         points.push(InputPoint {
             position: position.as_uvec3().to_array(),
-            color: paint.map(|c| c + shade),
+            color: paint.map(|c| (f64::from(c) + shade) as u16),
         });
     }
     points
+}
+
+/// Light and dark blocks of several sizes, so that blur shows in the colours.
+fn masonry(place: DVec3) -> f64 {
+    let block = |count: f64| {
+        let cell = (place * count + 0.5).floor();
+        if (cell.element_sum() as i64).rem_euclid(2) == 0 { 0.0 } else { 25.0 }
+    };
+    block(9.0) + block(37.0) + block(151.0) - 40.0
 }

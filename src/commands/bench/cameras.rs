@@ -1,8 +1,8 @@
 //! A fixed set of views of a scan, derived from its points: the same for every run.
 //!
-//! From outside, from above, from afar, near the surface, among the points, and along the longest
-//! axis, so that a cut meets each of its cases: all of a cloud small on screen, little of it large,
-//! and a large range of depths.
+//! From outside, from above, near the surface, among the points, and along the longest axis, so
+//! that a cut meets each of its cases: all of a cloud small on screen, little of it large, and a
+//! large range of depths. [`approach`] adds the whole cloud from ever farther away.
 
 use glam::{DVec3, I64Vec3, UVec3};
 
@@ -14,11 +14,14 @@ use crate::store::{NARROW_BITS, NodeReadError};
 /// Vertical field of view of all cameras, degrees.
 const FOV_Y_DEG: f64 = 60.0;
 
+/// A named view.
+pub type NamedView = (String, View);
+
 /// The views by name; none of a cloud without points.
 pub fn views_of(
     source: &dyn NodeSource,
     (width_px, height_px): (u32, u32),
-) -> Result<Vec<(&'static str, View)>, NodeReadError> {
+) -> Result<Vec<NamedView>, NodeReadError> {
     let sample = root_points(source)?;
     let bounds = source.bounds();
     if sample.is_empty() || bounds.is_empty() {
@@ -41,7 +44,6 @@ pub fn views_of(
     let from = |x, y, z, distance| center + DVec3::new(x, y, z).normalize() * distance * radius;
     let places = [
         ("outside", from(1.0, -1.0, 0.7, 2.0), center),
-        ("far", from(-1.0, -0.4, 0.3, 8.0), center),
         ("top", from(0.0, 0.0, 1.0, 1.8), center),
         ("oblique near", middle + DVec3::new(-0.6, -0.8, 0.5) * (0.3 * radius), middle),
         ("inside low", level(middle) + rise, level(middle) + along * radius + 0.5 * rise),
@@ -49,12 +51,41 @@ pub fn views_of(
         ("along axis", level(start) + rise, level(start) + along * (2.0 * radius)),
         ("close", spot + DVec3::new(0.5, 0.6, 0.6) * (0.03 * radius), spot),
     ];
-    let near = 1e-4 * radius;
-    let view = |(name, eye, target)| {
-        let camera = Camera::looking_at(eye, target, DVec3::Z, FOV_Y_DEG.to_radians(), near);
-        (name, View { camera, width_px, height_px })
+    let view = |(name, eye, target): (&str, DVec3, DVec3)| {
+        (name.to_owned(), view(eye, target, radius, (width_px, height_px)))
     };
     Ok(places.into_iter().map(view).collect())
+}
+
+/// The whole cloud from 1.6 to 10 radii away, obliquely and from above, `steps` distances each.
+///
+/// Cells of a level shrink on screen by the same steps as the cloud does, so these meet the
+/// spacings that a rule accepts from the largest to the smallest.
+pub fn approach(source: &dyn NodeSource, size: (u32, u32), steps: u32) -> Vec<NamedView> {
+    let bounds = source.bounds();
+    if bounds.is_empty() {
+        return Vec::new();
+    }
+    let radius = (0.5 * bounds.diagonal()).max(1e-3);
+    let directions =
+        [("oblique", DVec3::new(1.0, -1.0, 0.7)), ("above", DVec3::new(0.0, -0.1, 1.0))];
+    let mut views = Vec::new();
+    for (name, direction) in directions {
+        for step in 0..steps {
+            let share = f64::from(step) / f64::from(steps.max(2) - 1);
+            let radii = 1.6 * (10f64 / 1.6).powf(share);
+            let eye = bounds.center() + direction.normalize() * (radii * radius);
+            let name = format!("{name}, {radii:.1} radii");
+            views.push((name, view(eye, bounds.center(), radius, size)));
+        }
+    }
+    views
+}
+
+fn view(eye: DVec3, target: DVec3, radius: f64, (width_px, height_px): (u32, u32)) -> View {
+    let fov_y_rad = FOV_Y_DEG.to_radians();
+    let camera = Camera::looking_at(eye, target, DVec3::Z, fov_y_rad, 1e-4 * radius);
+    View { camera, width_px, height_px }
 }
 
 /// World positions of the root's points, an even sample of the whole cloud, coarse to fine.

@@ -1,8 +1,9 @@
 //! The suite `lod`: what a picture costs against how far it is from the reference picture.
 //!
-//! Two studies over the same views. *Rules*: the four level rules at several error settings,
-//! splats of one pixel, no budget, so that only the choice of levels counts. *Sizes*: the four
-//! splat policies at rising budgets, the default rule at 1 pixel. Points and nodes repeat on any
+//! Three studies. *Rules*: the four level rules at several error settings, splats of one pixel, no
+//! budget, so that only the choice of levels counts. *Sizes*: the four splat policies at rising
+//! budgets, the default rule at 1 pixel. *Approach*: the rules at 1 pixel while the whole cloud
+//! recedes, because the largest spacing that a rule accepts occurs only at some distances. Points and nodes repeat on any
 //! machine; times are the least of two warm frames and compare within one run only.
 
 use std::fmt::Write;
@@ -24,8 +25,8 @@ use crate::select::{CutSettings, LevelRule, SplatPolicy, SplatSettings};
 #[derive(Clone, Debug, Serialize)]
 struct Row {
     scan: String,
-    view: &'static str,
-    study: &'static str,
+    view: String,
+    study: Study,
     rule: &'static str,
     splats: &'static str,
     error_px: f64,
@@ -39,6 +40,25 @@ struct Row {
     error: PictureError,
 }
 
+/// What a row belongs to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum Study {
+    Rules,
+    Sizes,
+    Approach,
+}
+
+impl Study {
+    fn name(self) -> &'static str {
+        match self {
+            Study::Rules => "rules",
+            Study::Sizes => "sizes",
+            Study::Approach => "approach",
+        }
+    }
+}
+
 const CSV_HEADER: &str = "scan,view,study,rule,splats,error_px,point_budget,points_drawn,\
     nodes_drawn,select_ms,frame_ms,hole_fraction,excess_fraction,rmse,ssim";
 
@@ -46,6 +66,7 @@ const CSV_HEADER: &str = "scan,view,study,rule,splats,error_px,point_budget,poin
 struct Plan {
     size: (u32, u32),
     view_step: usize,
+    approach_steps: u32,
     errors_px: &'static [f64],
     budgets: &'static [u64],
 }
@@ -56,6 +77,7 @@ impl Plan {
             Plan {
                 size: args.size.unwrap_or((640, 360)),
                 view_step: 2,
+                approach_steps: 4,
                 errors_px: &[1.0, 2.0],
                 budgets: &[50_000, 200_000, 800_000],
             }
@@ -63,6 +85,7 @@ impl Plan {
             Plan {
                 size: args.size.unwrap_or((1280, 720)),
                 view_step: 1,
+                approach_steps: 10,
                 errors_px: &[0.5, 1.0, 2.0, 4.0],
                 budgets: &[
                     25_000, 50_000, 100_000, 200_000, 400_000, 800_000, 1_600_000, 3_200_000,
@@ -85,9 +108,11 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
         println!("{name}: {points} points, {nodes} nodes; {width}x{height}, drawn by the CPU\n");
         let rows = measure(&name, Arc::new(store), &plan)?;
         rows.iter().for_each(|row| write_csv_row(&mut csv, row));
-        print!("{}", rules_by_view(&rows));
-        print!("{}", means(&rows, "rules", |row| (row.rule, format!("{} px", row.error_px))));
-        print!("{}", means(&rows, "sizes", |row| (row.splats, budget_name(row.point_budget))));
+        print!("{}", rules_by_view(&rows, Study::Rules));
+        print!("{}", rules_by_view(&rows, Study::Approach));
+        print!("{}", means(&rows, Study::Rules));
+        print!("{}", means(&rows, Study::Sizes));
+        print!("{}", draw_economy(&rows));
         write_plot(&args.output, &name, &rows)?;
     }
     let path = args.output.join("lod.csv");
@@ -98,59 +123,97 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
 
 /// All pictures of one scan.
 fn measure(name: &str, source: Arc<dyn NodeSource>, plan: &Plan) -> anyhow::Result<Vec<Row>> {
-    let mut rows = Vec::new();
-    let mut renderer = Renderer::on_cpu(available_memory() / 2);
-    renderer.set_scene(vec![Arc::clone(&source)]);
-    let color = ColorMode::Auto;
+    let mut bench = Bench::new(name, Arc::clone(&source));
     let points = source.octree().point_count();
     let views = cameras::views_of(source.as_ref(), plan.size)?;
-    for (view_name, view) in views.into_iter().step_by(plan.view_step) {
-        let background = FrameSettings::default().background;
-        let reference = reference_picture(source.as_ref(), &view, &color, background)?;
-        if reference.covered() == 0 {
+    for named_view in views.into_iter().step_by(plan.view_step) {
+        if !bench.look_at(named_view)? {
             continue;
         }
-        let mut add = |study, cut: CutSettings| -> anyhow::Result<()> {
-            let settings = FrameSettings { cut, color: color.clone(), ..FrameSettings::default() };
-            let drawn = draw(&mut renderer, &view, &settings)?;
-            let unlimited = cut.point_budget >= points;
-            rows.push(Row {
-                scan: name.to_owned(),
-                view: view_name,
-                study,
-                rule: cut.rule.name(),
-                splats: if study == "rules" { "1 px" } else { cut.splat.policy.name() },
-                error_px: cut.error_px,
-                point_budget: if unlimited { 0 } else { cut.point_budget },
-                points_drawn: drawn.points_drawn,
-                nodes_drawn: drawn.nodes_drawn,
-                select_ms: drawn.select_ms,
-                frame_ms: drawn.frame_ms,
-                error: compare(pixels(&reference), pixels(&drawn.picture)),
-            });
-            Ok(())
-        };
-        for rule in LevelRule::FOUR {
-            for &error_px in plan.errors_px {
-                let one_px = SplatSettings {
-                    policy: SplatPolicy::Own,
-                    max_px: 1.0,
-                    ..SplatSettings::default()
-                };
-                let point_budget = points;
-                let cut = CutSettings { point_budget, error_px, rule, ..CutSettings::default() };
-                add("rules", CutSettings { splat: one_px, ..cut })?;
-            }
-        }
+        bench.rules(plan.errors_px, Study::Rules)?;
         let budgets = plan.budgets.iter().copied().filter(|&budget| budget < points);
         for point_budget in budgets.chain([points]) {
             for policy in SplatPolicy::ALL {
                 let splat = SplatSettings { policy, ..SplatSettings::default() };
-                add("sizes", CutSettings { point_budget, splat, ..CutSettings::default() })?;
+                let cut = CutSettings { point_budget, splat, ..CutSettings::default() };
+                bench.add(Study::Sizes, cut)?;
             }
         }
     }
-    Ok(rows)
+    for named_view in cameras::approach(source.as_ref(), plan.size, plan.approach_steps) {
+        if bench.look_at(named_view)? {
+            bench.rules(&[1.0], Study::Approach)?;
+        }
+    }
+    Ok(bench.rows)
+}
+
+/// One scan, the view at hand with its reference picture, and the rows so far.
+struct Bench {
+    scan: String,
+    source: Arc<dyn NodeSource>,
+    renderer: Renderer,
+    settings: FrameSettings,
+    view: Option<(String, View, Picture)>,
+    rows: Vec<Row>,
+}
+
+impl Bench {
+    fn new(scan: &str, source: Arc<dyn NodeSource>) -> Self {
+        let mut renderer = Renderer::on_cpu(available_memory() / 2);
+        renderer.set_scene(vec![Arc::clone(&source)]);
+        let settings = FrameSettings { color: ColorMode::Auto, ..FrameSettings::default() };
+        Bench { scan: scan.to_owned(), source, renderer, settings, view: None, rows: Vec::new() }
+    }
+
+    /// Draws the reference picture of a view; `false` if it shows nothing.
+    fn look_at(&mut self, (name, view): cameras::NamedView) -> anyhow::Result<bool> {
+        let FrameSettings { color, background, .. } = &self.settings;
+        let reference = reference_picture(self.source.as_ref(), &view, color, *background)?;
+        let shows = reference.covered() > 0;
+        self.view = Some((name, view, reference));
+        Ok(shows)
+    }
+
+    /// The four rules with splats of one pixel and no budget.
+    fn rules(&mut self, errors_px: &[f64], study: Study) -> anyhow::Result<()> {
+        let one_px =
+            SplatSettings { policy: SplatPolicy::Own, max_px: 1.0, ..SplatSettings::default() };
+        let point_budget = self.source.octree().point_count();
+        for rule in LevelRule::FOUR {
+            for &error_px in errors_px {
+                let splat = one_px;
+                let cut =
+                    CutSettings { point_budget, error_px, rule, splat, ..CutSettings::default() };
+                self.add(study, cut)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// One row: the view at hand, drawn with these settings.
+    fn add(&mut self, study: Study, cut: CutSettings) -> anyhow::Result<()> {
+        let (view_name, view, reference) = self.view.as_ref().expect("a view was looked at");
+        self.settings.cut = cut;
+        let drawn = draw(&mut self.renderer, view, &self.settings)?;
+        let unlimited = cut.point_budget >= self.source.octree().point_count();
+        let splats = if study == Study::Sizes { cut.splat.policy.name() } else { "1 px" };
+        self.rows.push(Row {
+            scan: self.scan.clone(),
+            view: view_name.clone(),
+            study,
+            rule: cut.rule.name(),
+            splats,
+            error_px: cut.error_px,
+            point_budget: if unlimited { 0 } else { cut.point_budget },
+            points_drawn: drawn.points_drawn,
+            nodes_drawn: drawn.nodes_drawn,
+            select_ms: drawn.select_ms,
+            frame_ms: drawn.frame_ms,
+            error: compare(pixels(reference), pixels(&drawn.picture)),
+        });
+        Ok(())
+    }
 }
 
 struct Drawn {
@@ -189,9 +252,9 @@ fn write_csv_row(csv: &mut String, row: &Row) {
     let scan = row.scan.replace([',', '"', '\n'], "_");
     let result = writeln!(
         csv,
-        "{scan},{},{},\"{}\",{},{},{},{},{},{:.4},{:.3},{:.8},{:.8},{:.4},{:.6}",
+        "{scan},\"{}\",{},\"{}\",{},{},{},{},{},{:.4},{:.3},{:.8},{:.8},{:.4},{:.6}",
         row.view,
-        row.study,
+        row.study.name(),
         row.rule,
         row.splats,
         row.error_px,
@@ -209,18 +272,19 @@ fn write_csv_row(csv: &mut String, row: &Row) {
 }
 
 /// The rules side by side for each view, at the wanted error of one pixel.
-fn rules_by_view(rows: &[Row]) -> String {
+fn rules_by_view(rows: &[Row], study: Study) -> String {
     let rows: Vec<&Row> =
-        rows.iter().filter(|row| row.study == "rules" && row.error_px == 1.0).collect();
-    let views = unique(rows.iter().map(|row| row.view));
+        rows.iter().filter(|row| row.study == study && row.error_px == 1.0).collect();
+    let views = unique(rows.iter().map(|row| row.view.as_str()));
     let rules = unique(rows.iter().map(|row| row.rule));
-    let mut out = String::from(
-        "Rules at 1 px, splats of 1 px, no budget: points drawn, share of the reference's pixels \
+    let mut out = format!(
+        "{} at 1 px, splats of 1 px, no budget: points drawn, share of the reference's pixels \
          left empty, colour RMSE\n",
+        if study == Study::Approach { "Approach" } else { "Rules" }
     );
     let mut line = |name: &str, cells: Vec<String>| {
         let cells: String = cells.iter().map(|cell| format!("{cell:>26}")).collect();
-        out.push_str(&format!("{name:<14}{cells}\n"));
+        out.push_str(&format!("{name:<20}{cells}\n"));
     };
     line("view", rules.iter().map(|rule| rule.to_string()).collect());
     for view in views {
@@ -255,20 +319,20 @@ fn cell(points: f64, error: &PictureError) -> String {
     format!("{} {:>9} {:>5.2}", count(points), percent(error.hole_fraction), error.rmse)
 }
 
-/// Means over the views for each pair of names.
-fn means(
-    rows: &[Row],
-    study: &'static str,
-    names: impl Fn(&Row) -> (&'static str, String),
-) -> String {
+/// Means over the views for each line and setting of a study.
+fn means(rows: &[Row], study: Study) -> String {
     let rows: Vec<&Row> = rows.iter().filter(|row| row.study == study).collect();
+    let names = |row: &Row| match study {
+        Study::Sizes => (row.splats, budget_name(row.point_budget)),
+        _ => (row.rule, format!("{} px", row.error_px)),
+    };
     let title = match study {
-        "rules" => "Rules and error settings, splats of 1 px, no budget",
-        _ => "Splat sizes and budgets, parent cell, edge, at 1 px",
+        Study::Sizes => "Splat sizes and budgets, parent cell, edge, at 1 px",
+        _ => "Rules and error settings, splats of 1 px, no budget",
     };
     let mut out = format!(
         "{title}: means over the views\n{:<24}{:<10}{:>9}{:>9}{:>11}{:>10}{:>11}{:>11}{:>8}{:>8}\n",
-        study,
+        study.name(),
         "setting",
         "points",
         "nodes",
@@ -297,6 +361,17 @@ fn means(
     }
     out.push('\n');
     out
+}
+
+/// How many points a draw has, and the most draws of one picture, with the default rule.
+fn draw_economy(rows: &[Row]) -> String {
+    let rows: Vec<&Row> =
+        rows.iter().filter(|row| row.study == Study::Sizes && row.point_budget == 0).collect();
+    let points: u64 = rows.iter().map(|row| row.points_drawn).sum();
+    let nodes: u64 = rows.iter().map(|row| u64::from(row.nodes_drawn)).sum();
+    let most = rows.iter().map(|row| row.nodes_drawn).max().unwrap_or(0);
+    let mean = points as f64 / nodes.max(1) as f64;
+    format!("Parent cell, edge, at 1 px: {mean:.0} points per node drawn, at most {most} nodes\n\n")
 }
 
 /// Means over rows.
@@ -344,9 +419,13 @@ fn write_plot(folder: &Path, name: &str, rows: &[Row]) -> anyhow::Result<()> {
         ("frame time, ms", time_of, "colour RMSE (0-255)", rmse),
     ];
     let mut panels = Vec::new();
-    for (study, title) in [("rules", "rules, error 0.5-4 px"), ("sizes", "splat sizes, budgets")] {
+    let studies = [
+        (Study::Rules, "rules, rising error settings"),
+        (Study::Sizes, "splat sizes, rising budgets"),
+    ];
+    for (study, title) in studies {
         let rows: Vec<&Row> = rows.iter().filter(|row| row.study == study).collect();
-        let line_of = |row: &Row| if study == "rules" { row.rule } else { row.splats };
+        let line_of = |row: &Row| if study == Study::Rules { row.rule } else { row.splats };
         for (x_label, x, y_label, y) in columns {
             let series = unique(rows.iter().map(|row| line_of(row))).into_iter().map(|line| {
                 let of_line: Vec<&Row> =

@@ -89,9 +89,8 @@ fn draw_panel(out: &mut String, panel: &Panel) {
     stroke(out, (left, bottom), (right, bottom), "black", 1.0);
     stroke(out, (left, top), (left, bottom), "black", 1.0);
     text(out, (0.5 * (left + right), PANEL.1 - 14.0), "middle", "", &panel.x_label);
-    let middle = 0.5 * (top + bottom);
-    let turned = format!("transform=\"rotate(-90 16 {middle})\"");
-    text(out, (16.0, middle), "middle", &turned, &panel.y_label);
+    let turned = format!("transform=\"translate(16 {}) rotate(-90)\"", 0.5 * (top + bottom));
+    text(out, (0.0, 0.0), "middle", &turned, &panel.y_label);
 
     for (i, series) in panel.series.iter().enumerate() {
         draw_series(out, series, COLORS[i % COLORS.len()], i, &x_axis, &y_axis);

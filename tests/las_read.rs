@@ -52,7 +52,7 @@ fn records(scan: &LasScan) -> Vec<u8> {
     for block in scan.blocks() {
         let points = read(scan, block, &mut buffer, &mut |first, records| {
             assert_eq!(all.len() as u64, first * record_bytes as u64, "batches follow each other");
-            assert!(!records.is_empty() && records.len() % record_bytes == 0);
+            assert!(!records.is_empty() && records.len().is_multiple_of(record_bytes));
             all.extend_from_slice(records);
         });
         assert_eq!(points, block.points);

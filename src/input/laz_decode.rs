@@ -17,7 +17,7 @@ use super::guard::without_panic;
 use super::las_layout::batch_records;
 use super::laz_layout::{ChunkRule, LazCoding};
 use super::positioned_file::PositionedFile;
-use super::scan::{Block, BlockBuffer};
+use super::scan::{Block, BlockBuffer, RecordSink};
 
 const WINDOW_BYTES: usize = 256 << 10;
 
@@ -161,7 +161,7 @@ pub(super) fn decode_block<E: From<LasFault>>(
     coding: &LazCoding,
     block: &Block,
     buffer: &mut BlockBuffer,
-    sink: &mut dyn FnMut(u64, &[u8]) -> Result<(), E>,
+    sink: &mut RecordSink<'_, E>,
 ) -> Result<u64, E> {
     let mut run = Run { file, coding, records: &mut buffer.records, window: &mut buffer.window };
     if !block.is_sequence {
@@ -199,7 +199,7 @@ impl Run<'_> {
         &mut self,
         block: &Block,
         expected: Option<u64>,
-        sink: &mut dyn FnMut(u64, &[u8]) -> Result<(), E>,
+        sink: &mut RecordSink<'_, E>,
     ) -> Result<(u64, u64), E> {
         let mut points = block.points;
         let mut bytes = block.bytes.clone();

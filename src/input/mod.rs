@@ -30,6 +30,8 @@ pub use error::{LasError, LasFault};
 pub use guard::without_panic;
 pub use header::{LasHeader, ReturnCounts, place};
 pub use point_format::{ExtraBytes, PointFormat};
-pub use scan::{Block, BlockBuffer, BoundsFacts, LasScan, ScanFacts, ScanFormat, VlrFacts};
+pub use scan::{
+    Block, BlockBuffer, BoundsFacts, LasScan, RecordSink, ScanFacts, ScanFormat, VlrFacts,
+};
 pub use template::{ByteRange, LasTemplate, NewScan};
 pub use vlr::{EVLR_HEADER_BYTES, VLR_HEADER_BYTES, Vlr, evlr_header};

@@ -167,7 +167,7 @@ pub fn extra_bytes(data: &[u8]) -> (Vec<ExtraBytes>, Option<String>) {
         };
         described.push(ExtraBytes { name, scalar, components });
     }
-    let odd = (data.len() % DESCRIPTION_BYTES != 0)
+    let odd = (!data.len().is_multiple_of(DESCRIPTION_BYTES))
         .then(|| format!("extra bytes record of {} bytes, expected a multiple of 192", data.len()));
     (described, odd)
 }

@@ -134,6 +134,9 @@ impl Block {
     }
 }
 
+/// What takes the records of a block: the index in the file of the first point, and whole records.
+pub type RecordSink<'a, E> = dyn FnMut(u64, &[u8]) -> Result<(), E> + 'a;
+
 /// Memory of one reading thread; grows to a few MiB and is used again for every block.
 #[derive(Debug, Default)]
 pub struct BlockBuffer {
@@ -310,7 +313,7 @@ impl LasScan {
         &self,
         block: &Block,
         buffer: &mut BlockBuffer,
-        sink: &mut dyn FnMut(u64, &[u8]) -> Result<(), E>,
+        sink: &mut RecordSink<'_, E>,
     ) -> Result<u64, E> {
         let mut sink_in = |first: u64, records: &[u8]| sink(first, records).map_err(Stop::Sink);
         let outcome = match &self.coding {
@@ -327,7 +330,7 @@ impl LasScan {
         &self,
         block: &Block,
         buffer: &mut BlockBuffer,
-        sink: &mut dyn FnMut(u64, &[u8]) -> Result<(), Stop<E>>,
+        sink: &mut RecordSink<'_, Stop<E>>,
     ) -> Result<u64, Stop<E>> {
         let bytes = (block.bytes.end - block.bytes.start) as usize;
         if buffer.records.len() < bytes {
@@ -358,10 +361,9 @@ fn find_evlrs(file: &PositionedFile, header: &LasHeader) -> Result<Vec<Vlr>, Las
         Some((start, count)) => vlr::evlrs(file, start, count)?,
         None => Vec::new(),
     };
-    if let Some(start) = header.waveform_start {
-        if !evlrs.iter().any(|evlr| evlr.whole().contains(&start)) {
-            evlrs.extend(vlr::evlrs(file, start, 1)?);
-        }
+    let counted = |start: &u64| evlrs.iter().any(|evlr| evlr.whole().contains(start));
+    if let Some(start) = header.waveform_start.filter(|start| !counted(start)) {
+        evlrs.extend(vlr::evlrs(file, start, 1)?);
     }
     let points_start = u64::from(header.point_data_offset);
     if let Some((index, evlr)) =

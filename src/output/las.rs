@@ -458,10 +458,9 @@ impl Tally {
         for record in records.chunks_exact(usize::from(header.record_bytes)) {
             self.points += 1;
             self.returns[usize::from(format.return_number(record))] += 1;
-            let coordinates = record_coordinates(record);
-            for axis in 0..3 {
-                self.min[axis] = self.min[axis].min(coordinates[axis]);
-                self.max[axis] = self.max[axis].max(coordinates[axis]);
+            for (axis, coordinate) in record_coordinates(record).into_iter().enumerate() {
+                self.min[axis] = self.min[axis].min(coordinate);
+                self.max[axis] = self.max[axis].max(coordinate);
             }
         }
     }

@@ -224,18 +224,18 @@ impl Scene {
         if index < from_stations {
             let (station, share) = part(index, from_stations, STATIONS as u64);
             (
-                self.from_station(self.stations[station as usize], share, &mut random),
+                self.station_sample(self.stations[station as usize], share, &mut random),
                 station as u16 + 1,
             )
         } else {
             let airborne = self.settings.points - from_stations;
             let (strip, share) = part(index - from_stations, airborne, STRIPS);
-            (self.from_air(strip, share, &mut random), strip as u16 + 1001)
+            (self.air_sample(strip, share, &mut random), strip as u16 + 1001)
         }
     }
 
     /// A station turns once while it measures: `share` of the turn is done.
-    fn from_station(&self, station: DVec2, share: f64, random: &mut Random) -> Sample {
+    fn station_sample(&self, station: DVec2, share: f64, random: &mut Random) -> Sample {
         let direction = DVec2::from_angle(std::f64::consts::TAU * share);
         let eye = station.extend(self.ground(station) + EYE_HEIGHT);
         // Evenly in the logarithm of the distance: evenly in angle, so 1 / r^2 on the ground. What
@@ -262,7 +262,7 @@ impl Scene {
     }
 
     /// Strips run along y, evenly; `share` of the strip is flown.
-    fn from_air(&self, strip: u64, share: f64, random: &mut Random) -> Sample {
+    fn air_sample(&self, strip: u64, share: f64, random: &mut Random) -> Sample {
         let across = random.unit();
         let width = SIDE / STRIPS as f64;
         let target = DVec2::new((strip as f64 + across) * width, share * SIDE);
@@ -344,10 +344,9 @@ impl Scene {
         // A ray of 150 m crosses fewer than 20 cells of 25 m.
         for _ in 0..20 {
             let cell = &self.cells[y as usize * CELLS + x as usize];
-            if let Some(house) = &cell.house {
-                if let Some(at) = house.entry(from, ray) {
-                    return Some((house, from + at * ray));
-                }
+            let met = cell.house.as_ref().and_then(|house| Some((house, house.entry(from, ray)?)));
+            if let Some((house, at)) = met {
+                return Some((house, from + at * ray));
             }
             let (next_x, next_y) = (share(0, x), share(1, y));
             if next_x.min(next_y) >= 1.0 {

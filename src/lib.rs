@@ -17,3 +17,5 @@ pub mod points;
 pub mod sampling;
 pub mod select;
 pub mod store;
+#[cfg(feature = "viewer")]
+pub mod viewer;

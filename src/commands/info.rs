@@ -1,7 +1,5 @@
 //! `esker info`: the facts of scans and stores, without reading their points.
 
-use std::fs::File;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -10,7 +8,8 @@ use serde_json::{Value, json};
 
 use crate::commands::quantities::show_bytes;
 use crate::input::LasScan;
-use crate::store::{MAGIC, Store};
+use crate::store::Store;
+pub use crate::store::is_store;
 
 /// Arguments of `esker info`.
 #[derive(Debug, Args)]
@@ -34,13 +33,6 @@ pub fn run(args: InfoArgs) -> anyhow::Result<ExitCode> {
         }
     }
     Ok(ExitCode::SUCCESS)
-}
-
-/// Whether a file begins as a store does. What cannot be read is for its reader to refuse.
-pub fn is_store(path: &Path) -> bool {
-    let mut head = [0; MAGIC.len()];
-    let begins = File::open(path).and_then(|mut file| file.read_exact(&mut head));
-    begins.is_ok() && head == MAGIC
 }
 
 fn store_facts(path: &Path) -> anyhow::Result<Value> {

@@ -13,6 +13,7 @@ mod inputs;
 mod progress;
 mod quantities;
 mod render;
+mod view;
 
 use std::process::ExitCode;
 
@@ -42,6 +43,8 @@ enum Command {
     Check(check::CheckArgs),
     /// Draw stores and scans into a picture, without a window
     Render(render::RenderArgs),
+    /// Look at stores and scans in a window
+    View(view::ViewArgs),
     /// Write a store's points to a scan file
     Export(export::ExportArgs),
 }
@@ -56,6 +59,7 @@ pub fn main() -> ExitCode {
         Command::Info(args) => info::run(args),
         Command::Check(args) => check::run(args),
         Command::Render(args) => render::run(args),
+        Command::View(args) => view::run(args),
         Command::Export(args) => export::run(args),
     };
     match outcome {

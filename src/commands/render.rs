@@ -80,7 +80,7 @@ pub struct RenderArgs {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum RendererChoice {
+pub(super) enum RendererChoice {
     /// compute where the adapter can, else raster, else cpu
     Auto,
     /// Compute shaders with 64-bit atomics
@@ -89,6 +89,20 @@ enum RendererChoice {
     Raster,
     /// All cores, no adapter
     Cpu,
+}
+
+impl RendererChoice {
+    /// The path that was asked for; none leaves it to the adapter.
+    #[cfg(feature = "viewer")]
+    pub(super) fn path(self) -> Option<crate::frame::RasterPath> {
+        use crate::frame::RasterPath;
+        match self {
+            RendererChoice::Auto => None,
+            RendererChoice::Compute => Some(RasterPath::Compute),
+            RendererChoice::Raster => Some(RasterPath::Raster),
+            RendererChoice::Cpu => Some(RasterPath::Cpu),
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -490,7 +504,7 @@ fn parse_in_range(text: &str, low: f64, high: f64) -> Result<f64, String> {
     }
 }
 
-fn parse_error_px(text: &str) -> Result<f64, String> {
+pub(super) fn parse_error_px(text: &str) -> Result<f64, String> {
     parse_in_range(text, 0.01, 1000.0)
 }
 

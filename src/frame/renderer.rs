@@ -228,6 +228,7 @@ impl Renderer {
                 problems: self.problems.clone(),
                 ..FrameStats::default()
             };
+            self.collect_gpu_times();
             return Ok(&self.stats);
         }
         self.prepare(view, settings)?;
@@ -336,7 +337,7 @@ impl Renderer {
         }
         Ok(nearest.map(|(x, y, _)| {
             let distance = f64::from(distances[((y - rows.start) * width + x) as usize]);
-            world_at(view, f64::from(x) + 0.5, f64::from(y) + 0.5, distance)
+            view.unproject(f64::from(x) + 0.5, f64::from(y) + 0.5, distance)
         }))
     }
 
@@ -350,7 +351,11 @@ impl Renderer {
         self.fill_table(&cuts, view, settings);
         self.stats.points_drawn = self.table.points;
         self.stats.nodes_drawn = self.table.draws.len() as u32;
-        self.stats.queue_pops = cuts.iter().map(|cut| cut.counters.queue_pops).sum();
+        let counters = || cuts.iter().map(|cut| &cut.counters);
+        self.stats.queue_pops = counters().map(|c| c.queue_pops).sum();
+        self.stats.nodes_culled = counters().map(|c| c.nodes_culled).sum();
+        self.stats.nodes_fine_enough = counters().map(|c| c.nodes_fine_enough).sum();
+        self.stats.nodes_over_budget = counters().map(|c| c.nodes_over_budget).sum();
         self.stats.nodes_requested = cuts.iter().map(|cut| cut.requests.len() as u32).sum();
         self.stats.nodes_failed = self.failed.len() as u32;
         self.stats.nodes_evicted = self.cache.evicted();
@@ -807,14 +812,6 @@ impl OnGpu {
     }
 }
 
-/// World position at a place of the picture and a distance along the viewing direction.
-fn world_at(view: &View, x_px: f64, y_px: f64, distance: f64) -> DVec3 {
-    let camera = &view.camera;
-    let right = (x_px - 0.5 * f64::from(view.width_px)) / view.focal_px();
-    let up = (0.5 * f64::from(view.height_px) - y_px) / view.focal_px();
-    camera.eye + (camera.forward + camera.right() * right + camera.up * up) * distance
-}
-
 fn check_view(view: &View) -> Result<(), FrameError> {
     let camera = &view.camera;
     let wrong = |reason: &str| Err(FrameError::View { reason: reason.into() });
@@ -844,26 +841,12 @@ mod tests {
     use crate::geometry::Camera;
 
     #[test]
-    fn places_in_the_picture_are_places_in_the_world() {
-        let camera = Camera::looking_at(
-            DVec3::new(5e5, 5e6, 200.0),
-            DVec3::new(5e5 + 30.0, 5e6 + 40.0, 180.0),
-            DVec3::Z,
-            1.0,
-            0.1,
-        );
-        let view = View { camera, width_px: 640, height_px: 480 };
-        let world = DVec3::new(5e5 + 33.0, 5e6 + 41.0, 185.0);
-        let (x, y, distance) = view.project(world).expect("in front");
-        assert!((world_at(&view, x, y, distance) - world).length() < 1e-6);
-    }
-
-    #[test]
     fn numbers_that_are_not_finite_are_refused() {
         let camera =
             Camera::looking_at(DVec3::new(f64::NAN, 0.0, 0.0), DVec3::X, DVec3::Z, 1.0, 0.1);
         let view = View { camera, width_px: 4, height_px: 4 };
-        let error = Renderer::on_cpu(1 << 20).render(&view, &FrameSettings::default());
+        let mut renderer = Renderer::on_cpu(1 << 20);
+        let error = renderer.render(&view, &FrameSettings::default());
         assert!(matches!(error, Err(FrameError::View { .. })));
     }
 }

@@ -27,6 +27,12 @@ pub struct FrameStats {
     pub nodes_evicted: u32,
     /// Nodes left out because the memory for nodes is full.
     pub nodes_without_room: u32,
+    /// Nodes left out because they are out of sight.
+    pub nodes_culled: u32,
+    /// Nodes left out because what is drawn there is fine enough.
+    pub nodes_fine_enough: u32,
+    /// Nodes wanted that the budget left out (those known when the walk ended).
+    pub nodes_over_budget: u32,
     /// Nodes taken from the priority queue; 0 if all of the cloud fits the budget.
     pub queue_pops: u32,
     /// Bytes read from disk.

@@ -104,6 +104,15 @@ impl View {
             (x, y, clip.w)
         })
     }
+
+    /// World position at a place of the picture and a distance along the viewing direction; the
+    /// inverse of [`project`](Self::project).
+    pub fn unproject(&self, x_px: f64, y_px: f64, distance: f64) -> DVec3 {
+        let camera = &self.camera;
+        let right = (x_px - 0.5 * f64::from(self.width_px)) / self.focal_px();
+        let up = (0.5 * f64::from(self.height_px) - y_px) / self.focal_px();
+        camera.eye + (camera.forward + camera.right() * right + camera.up * up) * distance
+    }
 }
 
 #[cfg(test)]
@@ -134,6 +143,14 @@ mod tests {
         assert!((x - 320.0 - v.focal_px() / 50.0).abs() < 1e-9, "right is +x here");
         let (_, y, _) = v.project(DVec3::new(10.0, 70.0, 31.0)).expect("in front");
         assert!((240.0 - y - v.focal_px() / 50.0).abs() < 1e-9, "up is up");
+    }
+
+    #[test]
+    fn unprojecting_undoes_projecting() {
+        let v = view();
+        let world = DVec3::new(13.0, 71.0, 25.0);
+        let (x, y, distance) = v.project(world).expect("in front");
+        assert!((v.unproject(x, y, distance) - world).length() < 1e-9);
     }
 
     #[test]

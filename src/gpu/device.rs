@@ -90,14 +90,14 @@ pub fn wanted_limits(adapter: &wgpu::Adapter) -> wgpu::Limits {
 }
 
 impl Gpu {
-    /// Opens the best adapter: one that draws by compute, then a real GPU, then a modern backend.
+    /// Opens the best adapter by [`adapter_preference`].
     ///
     /// The variables of wgpu (`WGPU_BACKEND` and others) are obeyed.
     pub fn open() -> Result<Gpu, GpuError> {
         let instance =
             wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
         let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
-        adapters.sort_by_key(preference);
+        adapters.sort_by_key(adapter_preference);
         let mut refusal = GpuError::NoAdapter;
         for adapter in adapters {
             match Gpu::open_adapter(&adapter) {
@@ -236,20 +236,22 @@ fn note_failure(failure: &Failure, reason: String) {
     failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(reason);
 }
 
-/// Sorts adapters: smaller is better.
-fn preference(adapter: &wgpu::Adapter) -> (bool, u32, u32) {
+/// Sorts adapters, the best first: a GPU before software, then one that draws by compute, then the
+/// kind of GPU, then a modern backend.
+pub fn adapter_preference(adapter: &wgpu::Adapter) -> impl Ord + use<> {
     let info = adapter.get_info();
     let kind = match info.device_type {
-        wgpu::DeviceType::DiscreteGpu => 0,
+        wgpu::DeviceType::DiscreteGpu => 0u32,
         wgpu::DeviceType::IntegratedGpu => 1,
         wgpu::DeviceType::VirtualGpu => 2,
         wgpu::DeviceType::Other => 3,
         wgpu::DeviceType::Cpu => 4,
     };
     let backend = match info.backend {
-        wgpu::Backend::Gl => 1,
+        wgpu::Backend::Gl => 1u32,
         wgpu::Backend::Noop => 2,
         _ => 0,
     };
-    (!adapter.features().contains(COMPUTE_FEATURES), kind, backend)
+    let is_software = info.device_type == wgpu::DeviceType::Cpu || backend == 2;
+    (is_software, !adapter.features().contains(COMPUTE_FEATURES), kind, backend)
 }

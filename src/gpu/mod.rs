@@ -21,7 +21,7 @@ mod timing;
 #[cfg(feature = "gpu")]
 pub use arena::{WordArena, WordRange};
 #[cfg(feature = "gpu")]
-pub use device::{Gpu, GpuError, wanted_features, wanted_limits};
+pub use device::{Gpu, GpuError, adapter_preference, wanted_features, wanted_limits};
 #[cfg(feature = "gpu")]
 pub use growing_buffer::GrowingBuffer;
 #[cfg(feature = "gpu")]

@@ -22,6 +22,6 @@ pub use metadata::{
     CrsInfo, Metadata, NARROW_BITS, Section, SectionContent, SourceInfo, ValueRange,
     position_shape, sections_for,
 };
-pub use reader::Store;
+pub use reader::{Store, is_store};
 pub use records::RecordError;
 pub use writer::{AppendixPart, EncodedNode, StoreWriter};

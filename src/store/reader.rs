@@ -4,7 +4,7 @@
 //! position, from any thread. Nothing is cached here.
 
 use std::fs::File;
-use std::io;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -12,7 +12,7 @@ use crate::ids::NodeId;
 use crate::octree::Octree;
 use crate::store::codec::{self, CodecScratch, ElementShape};
 use crate::store::directory::{self, SectionExtent};
-use crate::store::header::{HEADER_BYTES, Header, HeaderError, PartExtent, VERSION};
+use crate::store::header::{HEADER_BYTES, Header, HeaderError, MAGIC, PartExtent, VERSION};
 use crate::store::metadata::{Metadata, SectionContent, position_shape};
 use crate::store::{NodeReadError, StoreError};
 
@@ -28,6 +28,13 @@ pub struct Store {
     /// Where each node's data starts.
     node_offsets: Vec<u64>,
     bytes_read: AtomicU64,
+}
+
+/// Whether a file begins as a store does. What cannot be read is for its reader to refuse.
+pub fn is_store(path: &Path) -> bool {
+    let mut head = [0; MAGIC.len()];
+    let begins = File::open(path).and_then(|mut file| file.read_exact(&mut head));
+    begins.is_ok() && head == MAGIC
 }
 
 impl Store {

@@ -1,0 +1,108 @@
+//! `esker view`: the interactive window.
+
+use std::process::ExitCode;
+
+use clap::Args;
+
+/// Arguments of `esker view`.
+#[cfg(feature = "viewer")]
+#[derive(Debug, Args)]
+pub struct ViewArgs {
+    /// Stores and scans; a scan is converted first, to NAME.esker beside it if nothing has that
+    /// name and the folder can be written, else to a temporary store. Without files: an empty
+    /// window to drop them on
+    files: Vec<std::path::PathBuf>,
+    /// The first view: top, front, left, iso
+    #[arg(long, default_value = "iso")]
+    view: crate::geometry::ViewPreset,
+    /// Most points drawn, such as 2M [default: 5M, 2M without a GPU]
+    #[arg(long, value_parser = crate::commands::quantities::parse_count)]
+    budget: Option<u64>,
+    /// Largest spacing of points on screen, pixels
+    #[arg(long, default_value_t = 1.0, value_parser = crate::commands::render::parse_error_px)]
+    error_px: f64,
+    /// What points are coloured by: auto, rgb, elevation, intensity, class, or any attribute
+    #[arg(long, default_value = "auto")]
+    color: String,
+    /// How points are drawn
+    #[arg(long, value_enum, default_value = "auto")]
+    renderer: crate::commands::render::RendererChoice,
+    /// Most memory for points ready to be drawn, such as 2GiB
+    #[arg(long, value_parser = crate::commands::quantities::parse_bytes)]
+    point_memory: Option<u64>,
+    /// Size of the window
+    #[arg(long, default_value = "1280x800",
+        value_parser = crate::commands::quantities::parse_picture_size)]
+    size: (u32, u32),
+    /// Convert scans to temporary stores, never beside them
+    #[arg(long)]
+    temporary: bool,
+    /// Counters as JSON, written at the end and whenever F5 is pressed
+    #[arg(long, value_name = "FILE.json")]
+    stats: Option<std::path::PathBuf>,
+    /// Close after that many seconds (for tests)
+    #[arg(long, value_name = "SECONDS", hide_short_help = true)]
+    exit_after: Option<f64>,
+    /// With --exit-after: write a picture of the window before closing
+    #[arg(long, value_name = "FILE.png", hide_short_help = true, requires = "exit_after")]
+    screenshot: Option<std::path::PathBuf>,
+}
+
+/// Runs the command.
+#[cfg(feature = "viewer")]
+pub fn run(args: ViewArgs) -> anyhow::Result<ExitCode> {
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicBool, Ordering};
+    use std::time::Duration;
+
+    use crate::commands::inputs;
+    use crate::viewer::{self, ViewerOptions, WindowOptions};
+
+    let mut frame = viewer::first_settings();
+    frame.color = match args.color.parse() {
+        Ok(mode) => mode,
+        Err(never) => match never {},
+    };
+    frame.cut.error_px = args.error_px;
+    let exit_after = match args.exit_after.map(Duration::try_from_secs_f64) {
+        None => None,
+        Some(Ok(time)) => Some(time),
+        Some(Err(error)) => anyhow::bail!("--exit-after: {error}"),
+    };
+    let options = WindowOptions {
+        files: inputs::expand(&args.files)?,
+        path: args.renderer.path(),
+        node_limit_bytes: args.point_memory,
+        point_budget: args.budget,
+        size: args.size,
+        exit_after,
+        screenshot: args.screenshot,
+        viewer: ViewerOptions {
+            frame,
+            view: args.view,
+            temporary_stores: args.temporary,
+            stats: args.stats,
+            ..ViewerOptions::default()
+        },
+    };
+    let interrupted = Arc::new(AtomicBool::new(false));
+    viewer::run(options, Arc::clone(&interrupted))?;
+    Ok(if interrupted.load(Ordering::Relaxed) { ExitCode::from(130) } else { ExitCode::SUCCESS })
+}
+
+/// Arguments of `esker view` in a program that has no window.
+#[cfg(not(feature = "viewer"))]
+#[derive(Debug, Args)]
+pub struct ViewArgs {
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
+    _any: Vec<std::ffi::OsString>,
+}
+
+/// Says that there is no window.
+#[cfg(not(feature = "viewer"))]
+pub fn run(_: ViewArgs) -> anyhow::Result<ExitCode> {
+    anyhow::bail!(
+        "this program was built without a window; build it with the feature viewer, or make \
+         pictures with `esker render`"
+    )
+}

@@ -1,0 +1,549 @@
+//! What the window does, apart from being a window: files, camera, settings, and when to draw.
+//!
+//! The point frame is drawn only when view, settings or scene changed, or nodes are still coming;
+//! painting the window for any other reason shows the picture that is there. Runs wherever egui
+//! does: tests drive it without a window or a device.
+
+use std::mem;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use egui::{Color32, Event, Key, MouseWheelUnit, PointerButton, Pos2, Rect, Response, Sense, Ui};
+use glam::{DVec2, DVec3};
+
+use crate::frame::{FrameError, FrameSettings, FrameStats, Loading, NodeSource, Renderer};
+use crate::geometry::{View, ViewPreset};
+use crate::gpu::GpuError;
+use crate::viewer::canvas::Canvas;
+use crate::viewer::keys::{self, KeyCommand};
+use crate::viewer::opening::{Opened, OpenedFile, Opening};
+use crate::viewer::panels::{self, FileAction, Notice};
+use crate::viewer::statistics::Statistics;
+use crate::viewer::{CameraControl, DragKind};
+
+/// What the viewer is told at its start.
+#[derive(Clone, Debug, Default)]
+pub struct ViewerOptions {
+    /// How the first frame is drawn.
+    pub frame: FrameSettings,
+    /// The first view.
+    pub view: ViewPreset,
+    /// Convert scans to temporary stores, never beside them.
+    pub temporary_stores: bool,
+    /// Where statistics are written.
+    pub stats: Option<PathBuf>,
+    /// What draws, in words.
+    pub adapter: String,
+    /// Most bytes of points that the renderer holds.
+    pub node_limit_bytes: u64,
+}
+
+/// The viewer: all state of the window.
+pub struct Viewer {
+    renderer: Renderer,
+    canvas: Canvas,
+    options: ViewerOptions,
+    settings: FrameSettings,
+    control: CameraControl,
+    /// View to go to as soon as the size of the picture is known.
+    asked_view: Option<ViewPreset>,
+    /// Whether the camera was moved since the scene was last framed.
+    was_moved: bool,
+    files: Vec<OpenedFile>,
+    opening: Option<Opening>,
+    /// The next file to arrive takes the place of those on view.
+    replaces: bool,
+    add_dropped: bool,
+    notices: Vec<Notice>,
+    zoom_anchor: Option<(Pos2, Option<DVec3>)>,
+    size_px: (u32, u32),
+    /// View and settings that could not be drawn, so that they are not tried again.
+    refused: Option<(View, FrameSettings)>,
+    device_lost: Option<String>,
+    drawn: FrameStats,
+    frames_drawn: u64,
+    frames_skipped: u64,
+    bytes_read: u64,
+    bytes_uploaded: u64,
+    shows_panel: bool,
+    shows_statistics: bool,
+    shows_help: bool,
+}
+
+/// Distance within which a point counts as under the cursor, pixels.
+const PICK_RADIUS_PX: u32 = 10;
+/// Points of scrolling that make a notch of the wheel.
+const POINTS_PER_NOTCH: f64 = 50.0;
+/// Longest step of flight, so that a slow frame does not leap.
+const LONGEST_STEP_SECONDS: f64 = 0.25;
+/// Bytes of points loaded per frame: about a twentieth of a second of reading and unpacking.
+const QUOTA_BYTES: u64 = 8 << 20;
+/// Most notices kept.
+const MAX_NOTICES: usize = 8;
+
+/// Settings of a window's first frame: as a picture's, but nodes come a share per frame, so that
+/// the window answers while they do.
+pub fn first_settings() -> FrameSettings {
+    FrameSettings { loading: Loading::Quota { bytes: QUOTA_BYTES }, ..FrameSettings::default() }
+}
+
+impl Viewer {
+    /// A viewer without files.
+    pub fn new(renderer: Renderer, canvas: Canvas, options: ViewerOptions) -> Self {
+        Viewer {
+            control: CameraControl::new(&renderer.bounds(), options.view, 1.0),
+            settings: options.frame.clone(),
+            renderer,
+            canvas,
+            asked_view: Some(options.view),
+            was_moved: false,
+            files: Vec::new(),
+            opening: None,
+            replaces: false,
+            add_dropped: false,
+            notices: Vec::new(),
+            zoom_anchor: None,
+            size_px: (0, 0),
+            refused: None,
+            device_lost: None,
+            drawn: FrameStats::default(),
+            frames_drawn: 0,
+            frames_skipped: 0,
+            bytes_read: 0,
+            bytes_uploaded: 0,
+            shows_panel: true,
+            shows_statistics: true,
+            shows_help: false,
+            options,
+        }
+    }
+
+    /// Starts to open files; those on view stay until the first of them is there. Ends what was
+    /// being opened before.
+    pub fn open(&mut self, ctx: &egui::Context, files: Vec<PathBuf>) {
+        if files.is_empty() {
+            return;
+        }
+        // The old request ends before the new one begins, so both never write one store.
+        self.opening = None;
+        self.replaces = !self.add_dropped;
+        let ctx = ctx.clone();
+        let wake = Arc::new(move || ctx.request_repaint());
+        match Opening::start(files, self.options.temporary_stores, wake) {
+            Ok(opening) => self.opening = Some(opening),
+            Err(error) => self.note(format!("cannot start a thread: {error}"), true),
+        }
+    }
+
+    /// Takes in what happened beside the window. Call before [`ui`](Self::ui).
+    pub fn logic(&mut self, ctx: &egui::Context) {
+        let Some(opening) = self.opening.take() else { return };
+        let is_finished = opening.is_finished();
+        while let Some(news) = opening.next() {
+            match news {
+                Opened::File(file) => self.show_file(file),
+                Opened::Warning(text) => self.note(text, false),
+                Opened::Failed(text) => self.note(text, true),
+            }
+        }
+        if !is_finished {
+            // The bar moves between the news.
+            ctx.request_repaint_after(std::time::Duration::from_millis(200));
+            self.opening = Some(opening);
+        }
+    }
+
+    /// Shows everything and draws the points if they have to be drawn.
+    pub fn ui(&mut self, ui: &mut Ui) {
+        let ctx = ui.ctx().clone();
+        if ctx.current_pass_index() == 0 {
+            self.take_dropped_files(&ctx);
+            self.take_keys(&ctx);
+        }
+        if self.shows_panel {
+            egui::Panel::left("panel").default_size(300.0).show(ui, |ui| {
+                egui::ScrollArea::vertical().show(ui, |ui| self.panel(ui));
+            });
+        }
+        egui::CentralPanel::no_frame().show(ui, |ui| self.picture(ui));
+    }
+
+    /// What was done so far.
+    pub fn statistics(&self) -> Statistics {
+        let camera = self.control.camera();
+        let octrees = || self.files.iter().map(|file| file.store.octree());
+        Statistics {
+            adapter: self.options.adapter.clone(),
+            renderer: self.renderer.path().name(),
+            files: self.files.iter().map(|file| file.path.clone()).collect(),
+            points: octrees().map(|octree| octree.point_count()).sum(),
+            nodes: octrees().map(|octree| octree.nodes().len() as u64).sum(),
+            frames_drawn: self.frames_drawn,
+            frames_skipped: self.frames_skipped,
+            width_px: self.size_px.0,
+            height_px: self.size_px.1,
+            color: self.settings.color.to_string(),
+            point_budget: self.settings.cut.point_budget,
+            error_px: self.settings.cut.error_px,
+            splat: self.settings.cut.splat.policy.name(),
+            rule: self.settings.cut.rule.name(),
+            eye: camera.eye.to_array(),
+            forward: camera.forward.to_array(),
+            bytes_read: self.bytes_read,
+            bytes_uploaded: self.bytes_uploaded,
+            node_limit_bytes: self.options.node_limit_bytes,
+            is_opening: self.opening.is_some(),
+            frame: self.drawn.clone(),
+            notices: self.notices.iter().map(|notice| notice.text.clone()).collect(),
+        }
+    }
+
+    /// Why the device is gone; nothing can be drawn any more.
+    pub fn device_lost(&self) -> Option<&str> {
+        self.device_lost.as_deref()
+    }
+
+    /// The name of what is on view, for the title.
+    pub fn title(&self) -> String {
+        match self.files.as_slice() {
+            [] => "Esker".to_owned(),
+            [file, more @ ..] => {
+                let name = file.path.file_name().unwrap_or_default().to_string_lossy();
+                match more.len() {
+                    0 => format!("{name} - Esker"),
+                    more => format!("{name} and {more} more - Esker"),
+                }
+            }
+        }
+    }
+
+    /// Adds a line about something that happened outside.
+    pub fn note(&mut self, text: String, is_error: bool) {
+        let notice = Notice { text, is_error };
+        if !self.notices.contains(&notice) {
+            self.notices.push(notice);
+        }
+        let surplus = self.notices.len().saturating_sub(MAX_NOTICES);
+        self.notices.drain(..surplus);
+    }
+
+    /// Ends what goes on beside the window and writes the statistics.
+    pub fn finish(&mut self) -> anyhow::Result<()> {
+        self.opening = None;
+        match &self.options.stats {
+            Some(path) => self.statistics().write(path),
+            None => Ok(()),
+        }
+    }
+
+    fn show_file(&mut self, file: OpenedFile) {
+        if mem::take(&mut self.replaces) {
+            self.files.clear();
+            self.was_moved = false;
+        }
+        self.files.push(file);
+        self.take_scene();
+        // Files that come one by one are framed together, unless somebody looks around already.
+        if !self.was_moved {
+            self.asked_view = Some(self.options.view);
+        }
+    }
+
+    fn take_scene(&mut self) {
+        let sources = self.files.iter().map(|file| file.store.clone() as Arc<dyn NodeSource>);
+        let sources: Vec<_> = sources.collect();
+        let offers = |source: &Arc<dyn NodeSource>| self.settings.color.is_offered_by(&**source);
+        if !sources.iter().any(offers) {
+            self.settings.color = Default::default();
+        }
+        self.renderer.set_scene(sources);
+        self.control.set_bounds(&self.renderer.bounds());
+        self.zoom_anchor = None;
+        self.refused = None;
+    }
+
+    fn take_dropped_files(&mut self, ctx: &egui::Context) {
+        let dropped = ctx.input(|input| input.raw.dropped_files.clone());
+        let paths = dropped.iter().map(|file| file.path().to_owned()).collect();
+        self.open(ctx, paths);
+    }
+
+    fn take_keys(&mut self, ctx: &egui::Context) {
+        if ctx.egui_wants_keyboard_input() {
+            return;
+        }
+        let pressed: Vec<Key> = ctx.input(|input| {
+            let events = input.events.iter().filter_map(|event| match event {
+                Event::Key { key, pressed: true, repeat: false, modifiers, .. }
+                    if !modifiers.command && !modifiers.alt =>
+                {
+                    Some(*key)
+                }
+                _ => None,
+            });
+            events.collect()
+        });
+        for command in pressed.into_iter().filter_map(keys::command) {
+            match command {
+                KeyCommand::Show(preset) => self.asked_view = Some(preset),
+                KeyCommand::Help => self.shows_help = !self.shows_help,
+                KeyCommand::Statistics => self.shows_statistics = !self.shows_statistics,
+                KeyCommand::Panel => self.shows_panel = !self.shows_panel,
+                KeyCommand::WriteStatistics => self.write_statistics(),
+            }
+        }
+    }
+
+    fn write_statistics(&mut self) {
+        let Some(path) = &self.options.stats else {
+            self.note("no file for statistics: start with --stats FILE.json".into(), false);
+            return;
+        };
+        if let Err(error) = self.statistics().write(path) {
+            self.note(format!("{error:#}"), true);
+        }
+    }
+
+    fn panel(&mut self, ui: &mut Ui) {
+        ui.add_space(4.0);
+        if let Some(preset) = panels::views(ui) {
+            self.asked_view = Some(preset);
+        }
+        ui.separator();
+        let clouds = self.files.iter().map(|file| file.store.as_ref() as &dyn NodeSource);
+        let colors = panels::offered_colors(clouds);
+        panels::settings(ui, &mut self.settings, &colors);
+        ui.separator();
+        match panels::files(ui, &self.files) {
+            Some(FileAction::Close(index)) => {
+                self.files.remove(index);
+                self.take_scene();
+            }
+            None => {}
+        }
+        ui.checkbox(&mut self.add_dropped, "dropped files are added to these");
+        ui.separator();
+        ui.checkbox(&mut self.shows_statistics, "Statistics (F2)");
+        ui.checkbox(&mut self.shows_help, "Mouse and keys (F1)");
+        ui.weak("F3 hides this panel");
+        ui.separator();
+        ui.weak(format!("{}, {}", self.renderer.path().name(), self.options.adapter));
+    }
+
+    fn picture(&mut self, ui: &mut Ui) {
+        let ctx = ui.ctx().clone();
+        let (rect, size_px) = whole_pixels(ui.available_rect_before_wrap(), ctx.pixels_per_point());
+        self.size_px = size_px;
+        if size_px.0 == 0 || size_px.1 == 0 {
+            return;
+        }
+        let response = ui.allocate_rect(rect, Sense::drag());
+        ui.painter().rect_filled(rect, 0.0, background(&self.settings));
+        if self.files.is_empty() {
+            panels::hint(ui, rect, "Drop a store or a scan here");
+        } else {
+            self.move_camera(&ctx, &response);
+            self.draw(&ctx);
+            if let Some(texture) = self.canvas.texture() {
+                let whole = Rect::from_min_max(Pos2::ZERO, Pos2::new(1.0, 1.0));
+                ui.painter().image(texture, rect, whole, Color32::WHITE);
+            }
+            if self.shows_statistics {
+                panels::statistics(&ctx, rect, &self.statistics());
+            }
+        }
+        if ctx.input(|input| !input.raw.hovered_files.is_empty()) {
+            panels::hint(ui, rect, "Let go to open");
+        }
+        let advance = self.opening.as_ref().and_then(Opening::advance);
+        let is_opening = self.opening.is_some();
+        let notices = &mut self.notices;
+        if panels::progress_and_notices(&ctx, rect, is_opening, advance.as_ref(), notices)
+            && let Some(opening) = &self.opening
+        {
+            opening.cancel();
+        }
+        panels::help(&ctx, &mut self.shows_help);
+    }
+
+    /// Draws the points, or finds that the picture still holds.
+    fn draw(&mut self, ctx: &egui::Context) {
+        let view = self.view();
+        let request = (view, self.settings.clone());
+        if self.device_lost.is_some() || self.refused.as_ref() == Some(&request) {
+            return;
+        }
+        match self.renderer.render(&view, &self.settings) {
+            Ok(stats) if stats.unchanged => {
+                self.frames_skipped += 1;
+                // The GPU's own times come after the frame that they are of.
+                if stats.passes.iter().any(|time| time.clock == "gpu") {
+                    self.drawn.passes.retain(|time| time.clock != "gpu");
+                    self.drawn.passes.extend(stats.passes.iter().filter(|t| t.clock == "gpu"));
+                }
+            }
+            Ok(stats) => {
+                self.drawn = stats.clone();
+                self.frames_drawn += 1;
+                self.bytes_read += stats.bytes_read;
+                self.bytes_uploaded += stats.bytes_uploaded;
+                self.canvas.take(ctx, &self.renderer);
+                if !self.drawn.complete {
+                    ctx.request_repaint();
+                }
+                for problem in self.drawn.problems.clone() {
+                    self.note(format!("{problem}; coarser points stand in"), true);
+                }
+            }
+            Err(FrameError::Gpu(GpuError::Lost { reason })) => {
+                self.note(format!("the graphics device was lost: {reason}"), true);
+                self.device_lost = Some(reason);
+            }
+            Err(error) => {
+                self.note(error.to_string(), true);
+                self.refused = Some(request);
+            }
+        }
+    }
+
+    fn view(&self) -> View {
+        self.control.view(self.size_px.0, self.size_px.1)
+    }
+
+    /// Applies what mouse and keys ask of the camera.
+    fn move_camera(&mut self, ctx: &egui::Context, response: &Response) {
+        if let Some(preset) = self.asked_view.take() {
+            self.control.show(preset, self.view().aspect());
+            self.zoom_anchor = None;
+            self.was_moved = false;
+        }
+        let before = self.control.camera();
+        self.drag(ctx, response);
+        if response.hovered() || response.dragged() {
+            self.wheel(ctx, response);
+        }
+        self.fly(ctx);
+        if self.control.camera() != before {
+            self.was_moved = true;
+        }
+    }
+
+    fn drag(&mut self, ctx: &egui::Context, response: &Response) {
+        let Some(cursor) = response.interact_pointer_pos() else {
+            self.control.end_drag();
+            return;
+        };
+        let view = self.view();
+        if response.drag_started() {
+            // Where the button went down, not where the mouse has got to since.
+            let origin = ctx.input(|input| input.pointer.press_origin()).unwrap_or(cursor);
+            let (modifiers, button) = ctx.input(|input| {
+                let buttons =
+                    [PointerButton::Primary, PointerButton::Middle, PointerButton::Secondary];
+                let down = buttons.into_iter().find(|&button| input.pointer.button_down(button));
+                (input.modifiers, down)
+            });
+            if let Some(kind) = button.and_then(|button| keys::drag_kind(button, modifiers)) {
+                let at = cursor_px(origin, response.rect, ctx.pixels_per_point());
+                let point = if kind == DragKind::Look { None } else { self.pick(at) };
+                self.control.begin_drag(kind, at, point, &view);
+                self.zoom_anchor = None;
+            }
+        }
+        if response.drag_stopped() {
+            self.control.end_drag();
+        } else if response.dragged() {
+            let at = cursor_px(cursor, response.rect, ctx.pixels_per_point());
+            self.control.drag_to(at, &view);
+        }
+    }
+
+    fn wheel(&mut self, ctx: &egui::Context, response: &Response) {
+        let notches = ctx.input(|input| input.events.iter().map(notches_of).sum::<f64>());
+        let Some(cursor) = ctx.input(|input| input.pointer.latest_pos()) else { return };
+        if notches == 0.0 {
+            return;
+        }
+        if ctx.input(|input| input.pointer.button_down(PointerButton::Secondary)) {
+            self.control.change_speed(notches);
+            return;
+        }
+        let at = cursor_px(cursor, response.rect, ctx.pixels_per_point());
+        // A turn of the wheel goes on towards what was under the cursor when it began, however the
+        // picture refines meanwhile.
+        let point = match self.zoom_anchor {
+            Some((place, point)) if place.distance(cursor) < 1.0 && point.is_some() => point,
+            _ => self.pick(at),
+        };
+        self.zoom_anchor = Some((cursor, point));
+        let view = self.view();
+        self.control.zoom(notches, at, point, &view);
+    }
+
+    fn fly(&mut self, ctx: &egui::Context) {
+        if ctx.egui_wants_keyboard_input() {
+            return;
+        }
+        let (direction, modifiers, seconds) = ctx.input(|input| {
+            let direction = keys::flight(|key| input.key_down(key));
+            (direction, input.modifiers, f64::from(input.stable_dt))
+        });
+        if direction == DVec3::ZERO {
+            return;
+        }
+        self.control.fly(direction, keys::boost(modifiers), seconds.min(LONGEST_STEP_SECONDS));
+        self.zoom_anchor = None;
+        ctx.request_repaint();
+    }
+
+    /// The point of the scene at a place of the picture that is shown.
+    fn pick(&mut self, at: DVec2) -> Option<DVec3> {
+        if at.cmplt(DVec2::ZERO).any() {
+            return None;
+        }
+        match self.renderer.pick(at.x as u32, at.y as u32, PICK_RADIUS_PX) {
+            Ok(point) => point,
+            Err(error) => {
+                self.note(error.to_string(), true);
+                None
+            }
+        }
+    }
+}
+
+/// The largest part of a rectangle that ends at whole pixels, and its size in pixels.
+fn whole_pixels(rect: Rect, pixels_per_point: f32) -> (Rect, (u32, u32)) {
+    let min = (rect.min.to_vec2() * pixels_per_point).ceil();
+    let max = (rect.max.to_vec2() * pixels_per_point).floor();
+    let size = (max - min).max(egui::Vec2::ZERO);
+    let rect = Rect::from_min_size((min / pixels_per_point).to_pos2(), size / pixels_per_point);
+    (rect, (size.x as u32, size.y as u32))
+}
+
+/// A place on screen as a place in the picture, pixels.
+fn cursor_px(cursor: Pos2, picture: Rect, pixels_per_point: f32) -> DVec2 {
+    let at = (cursor - picture.min) * pixels_per_point;
+    DVec2::new(f64::from(at.x), f64::from(at.y))
+}
+
+/// Notches of the wheel in an event, towards the scene if positive.
+fn notches_of(event: &Event) -> f64 {
+    match event {
+        Event::MouseWheel { unit, delta, .. } => {
+            let delta = f64::from(delta.y);
+            match unit {
+                MouseWheelUnit::Point => delta / POINTS_PER_NOTCH,
+                MouseWheelUnit::Line => delta,
+                MouseWheelUnit::Page => delta * 10.0,
+            }
+        }
+        // Fingers that spread to twice their distance come near by half.
+        Event::Zoom(factor) if *factor > 0.0 => 3.5 * f64::from(factor.log2()),
+        _ => 0.0,
+    }
+}
+
+fn background(settings: &FrameSettings) -> Color32 {
+    let [r, g, b, _] = settings.background.to_le_bytes();
+    Color32::from_rgb(r, g, b)
+}

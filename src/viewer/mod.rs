@@ -1,0 +1,21 @@
+//! The window: look at stores and scans, fly through them, choose how they are drawn.
+//!
+//! [`run`] opens it; [`Viewer`] is what it does, [`CameraControl`] how mouse and keys move the
+//! camera. Points are drawn by the same frame as everywhere; this room decides when. A thread of
+//! its own opens files and converts scans ([`Opening`]); nothing else runs beside the window.
+
+mod app;
+mod camera_control;
+mod canvas;
+mod keys;
+mod opening;
+mod panels;
+mod statistics;
+mod window;
+
+pub use app::{Viewer, ViewerOptions, first_settings};
+pub use camera_control::{CameraControl, DragKind};
+pub use canvas::Canvas;
+pub use opening::{Advance, KeptIn, Opened, OpenedFile, Opening, Wake};
+pub use statistics::Statistics;
+pub use window::{WindowOptions, run};

@@ -1,0 +1,489 @@
+//! The panel beside the picture and what lies over it: settings, files, statistics, keys, progress.
+//!
+//! Each function shows one thing from the data it is given and says what was asked for; none of
+//! them acts.
+
+use egui::{Align2, Area, Color32, ComboBox, Grid, Id, ProgressBar, Rect, RichText, Slider, Ui};
+
+use crate::frame::{ColorMode, FrameSettings, NodeSource};
+use crate::geometry::ViewPreset;
+use crate::points::names;
+use crate::select::{LevelRule, SplatPolicy};
+use crate::store::Metadata;
+use crate::viewer::keys;
+use crate::viewer::opening::{Advance, KeptIn, OpenedFile};
+use crate::viewer::statistics::Statistics;
+
+/// Range of the budget slider, points.
+const BUDGETS: std::ops::RangeInclusive<u64> = 10_000..=100_000_000;
+/// Range of the error slider, pixels.
+const ERRORS_PX: std::ops::RangeInclusive<f64> = 0.25..=32.0;
+
+/// A line about something that happened.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Notice {
+    /// What.
+    pub text: String,
+    /// Whether something failed.
+    pub is_error: bool,
+}
+
+/// What the files section asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FileAction {
+    /// Take the file with that index off the scene.
+    Close(usize),
+}
+
+/// Buttons for the views; the one that was asked for.
+pub fn views(ui: &mut Ui) -> Option<ViewPreset> {
+    let mut asked = None;
+    ui.horizontal(|ui| {
+        for (number, preset) in ViewPreset::ALL.into_iter().enumerate() {
+            let button = ui.button(capitalized(preset.name()));
+            if button.on_hover_text(format!("Key {}", number + 1)).clicked() {
+                asked = Some(preset);
+            }
+        }
+        if ui.button("Reset").on_hover_text("Key R or Home").clicked() {
+            asked = Some(ViewPreset::default());
+        }
+    });
+    asked
+}
+
+/// The colour modes that at least one cloud offers, the usual ones first.
+pub fn offered_colors<'a>(clouds: impl Iterator<Item = &'a dyn NodeSource>) -> Vec<ColorMode> {
+    let mut offered = vec![ColorMode::Auto, ColorMode::Elevation];
+    let usual = [ColorMode::Rgb, ColorMode::Intensity, ColorMode::Class];
+    let mut others: Vec<ColorMode> = Vec::new();
+    for cloud in clouds {
+        for mode in usual.iter().filter(|mode| mode.is_offered_by(cloud)) {
+            if !offered.contains(mode) {
+                offered.push(mode.clone());
+            }
+        }
+        for attribute in &cloud.schema().attributes {
+            let mode = ColorMode::Attribute(attribute.name.clone());
+            let is_usual =
+                [names::RGB, names::INTENSITY, names::CLASSIFICATION, names::WAVE_PACKET]
+                    .contains(&attribute.name.as_str());
+            if !is_usual && !others.contains(&mode) {
+                others.push(mode);
+            }
+        }
+    }
+    offered.extend(others);
+    offered
+}
+
+/// Everything that changes the picture.
+pub fn settings(ui: &mut Ui, settings: &mut FrameSettings, colors: &[ColorMode]) {
+    let cut = &mut settings.cut;
+    Grid::new("settings").num_columns(2).spacing([8.0, 6.0]).show(ui, |ui| {
+        ui.label("Colour");
+        ComboBox::from_id_salt("color").selected_text(color_name(&settings.color)).show_ui(
+            ui,
+            |ui| {
+                for mode in colors {
+                    ui.selectable_value(&mut settings.color, mode.clone(), color_name(mode));
+                }
+            },
+        );
+        ui.end_row();
+
+        ui.label("Points").on_hover_text(
+            "Most points drawn. More shows more detail until the error is reached, and takes longer.",
+        );
+        ui.add(
+            Slider::new(&mut cut.point_budget, BUDGETS)
+                .logarithmic(true)
+                .custom_formatter(|points, _| short_count(points))
+                .custom_parser(parse_count),
+        );
+        ui.end_row();
+
+        ui.label("Error").on_hover_text(
+            "Spacing of points on screen that is fine enough. Half of it takes about four times the points.",
+        );
+        ui.add(Slider::new(&mut cut.error_px, ERRORS_PX).logarithmic(true).suffix(" px"));
+        ui.end_row();
+
+        ui.label("Level rule").on_hover_text("Which cell's spacing counts as the error.");
+        ComboBox::from_id_salt("rule").selected_text(rule_name(&cut.rule)).show_ui(ui, |ui| {
+            for rule in LevelRule::FOUR {
+                let rule = LevelRule { off_axis: cut.rule.off_axis, ..rule };
+                ui.selectable_value(&mut cut.rule, rule, rule_name(&rule));
+            }
+        });
+        ui.end_row();
+
+        ui.label("");
+        ui.checkbox(&mut cut.rule.off_axis, "allow for the corners")
+            .on_hover_text("The picture stretches towards its corners; draw finer there.");
+        ui.end_row();
+
+        ui.label("");
+        ui.checkbox(&mut cut.fill, "fill the budget")
+            .on_hover_text("The node that no longer fits draws the levels that do.");
+        ui.end_row();
+
+        ui.label("Splats").on_hover_text("Which drawn level sets the size of a point.");
+        ComboBox::from_id_salt("splat").selected_text(cut.splat.policy.name()).show_ui(ui, |ui| {
+            for policy in SplatPolicy::ALL {
+                ui.selectable_value(&mut cut.splat.policy, policy, policy.name());
+            }
+        });
+        ui.end_row();
+
+        ui.label("Splat size");
+        ui.add(Slider::new(&mut cut.splat.multiplier, 0.5..=4.0).logarithmic(true).suffix(" x"));
+        ui.end_row();
+
+        ui.label("At most");
+        ui.add(Slider::new(&mut cut.splat.max_px, 1.0..=64.0).logarithmic(true).suffix(" px"));
+        ui.end_row();
+
+        ui.label("");
+        ui.checkbox(&mut cut.cull_frustum, "drop what is out of sight")
+            .on_hover_text("Off only to see what it saves.");
+        ui.end_row();
+    });
+    if ui.button("Defaults").clicked() {
+        let FrameSettings { color, background, loading, .. } = settings.clone();
+        *settings = FrameSettings { color, background, loading, ..FrameSettings::default() };
+    }
+}
+
+/// What is on view.
+pub fn files(ui: &mut Ui, files: &[OpenedFile]) -> Option<FileAction> {
+    let mut asked = None;
+    for (index, file) in files.iter().enumerate() {
+        let metadata = file.store.metadata();
+        ui.horizontal(|ui| {
+            let name = file.path.file_name().unwrap_or(file.path.as_os_str()).to_string_lossy();
+            ui.strong(name).on_hover_text(file.path.display().to_string());
+            if ui.small_button("x").on_hover_text("Close").clicked() {
+                asked = Some(FileAction::Close(index));
+            }
+        });
+        Grid::new(("file", index)).num_columns(2).spacing([8.0, 2.0]).show(ui, |ui| {
+            for (name, value) in facts(metadata) {
+                ui.weak(name);
+                ui.label(value);
+                ui.end_row();
+            }
+            match &file.kept_in {
+                KeptIn::Itself => {}
+                KeptIn::Temporary => {
+                    ui.weak("Store");
+                    ui.label("temporary");
+                    ui.end_row();
+                }
+                KeptIn::Found(path) | KeptIn::Made(path) => {
+                    ui.weak("Store");
+                    let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
+                    ui.label(name).on_hover_text(path.display().to_string());
+                    ui.end_row();
+                }
+            }
+        });
+        ui.add_space(6.0);
+    }
+    asked
+}
+
+fn facts(metadata: &Metadata) -> Vec<(&'static str, String)> {
+    let mut facts = vec![("Points", grouped(metadata.points))];
+    if metadata.points > 0 {
+        let bounds = metadata.bounds();
+        let size = bounds.size();
+        let digits = decimals(size.max_element());
+        for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
+            let (min, max) = (bounds.min[axis], bounds.max[axis]);
+            facts.push((name, format!("{min:.digits$} … {max:.digits$}")));
+        }
+        let [x, y, z] = size.to_array();
+        facts.push(("Size", format!("{x:.digits$} x {y:.digits$} x {z:.digits$}")));
+    }
+    let crs = match (&metadata.crs.epsg, &metadata.crs.wkt) {
+        (Some(epsg), _) => format!("EPSG:{epsg}"),
+        (None, Some(wkt)) => wkt_name(wkt).unwrap_or("as in its WKT").to_owned(),
+        (None, None) => "not stated".to_owned(),
+    };
+    facts.push(("CRS", crs));
+    if let Some(bits) = metadata.color_bits {
+        facts.push(("RGB", format!("{bits} bits per channel")));
+    }
+    facts
+}
+
+/// The name in `PROJCS["the name",...`.
+fn wkt_name(wkt: &str) -> Option<&str> {
+    wkt.split('"').nth(1).filter(|name| !name.is_empty())
+}
+
+/// Decimals that show lengths of that size to about five digits.
+fn decimals(size: f64) -> usize {
+    if size > 0.0 { (4.0 - size.log10().floor()).clamp(0.0, 9.0) as usize } else { 3 }
+}
+
+/// The statistics, in the top right corner of the picture.
+pub fn statistics(ctx: &egui::Context, picture: Rect, statistics: &Statistics) {
+    over(ctx, "statistics", picture, Align2::RIGHT_TOP, |ui| {
+        ui.style_mut().wrap_mode = Some(egui::TextWrapMode::Extend);
+        let rows = Grid::new("statistics").num_columns(2).spacing([12.0, 2.0]).min_row_height(0.0);
+        rows.show(ui, |ui| {
+            for (name, value) in statistic_rows(statistics) {
+                ui.label(RichText::new(name).size(11.0));
+                ui.label(RichText::new(value).size(11.0).monospace());
+                ui.end_row();
+            }
+        });
+    });
+}
+
+/// The lines of the statistics.
+fn statistic_rows(statistics: &Statistics) -> Vec<(String, String)> {
+    let frame = &statistics.frame;
+    let mut rows: Vec<(String, String)> = Vec::new();
+    let mut row = |name: &str, value: String| rows.push((name.to_owned(), value));
+    // The name; driver and versions are in the panel.
+    let adapter = statistics.adapter.split(" (").next().unwrap_or_default();
+    row("adapter", adapter.to_owned());
+    row("renderer", statistics.renderer.to_owned());
+    row("points drawn", of(grouped(frame.points_drawn), grouped(statistics.points)));
+    row("nodes drawn", of(grouped(frame.nodes_drawn.into()), grouped(statistics.nodes)));
+    row("frame", milliseconds(frame.frame_ms));
+    for pass in &frame.passes {
+        row(&format!("  {} ({})", pass.pass, pass.clock), milliseconds(pass.pass_ms));
+    }
+    row("draw calls", of(frame.draw_calls.to_string(), format!("{} disp.", frame.dispatches)));
+    row("point memory", of(bytes(frame.node_bytes), bytes(statistics.node_limit_bytes)));
+    row("read", of(bytes(frame.bytes_read), bytes(statistics.bytes_read)));
+    row("uploaded", of(bytes(frame.bytes_uploaded), bytes(statistics.bytes_uploaded)));
+    if frame.nodes_requested > 0 {
+        row("waiting for", format!("{} nodes", grouped(frame.nodes_requested.into())));
+    }
+    row("out of sight", format!("{} nodes", grouped(frame.nodes_culled.into())));
+    row("fine enough", format!("{} nodes", grouped(frame.nodes_fine_enough.into())));
+    row("over budget", format!("{} nodes", grouped(frame.nodes_over_budget.into())));
+    if frame.nodes_without_room > 0 {
+        row("no room for", format!("{} nodes", grouped(frame.nodes_without_room.into())));
+    }
+    if frame.nodes_failed > 0 {
+        row("unreadable", format!("{} nodes", grouped(frame.nodes_failed.into())));
+    }
+    row(
+        "queue",
+        match frame.queue_pops {
+            0 => "skipped, all fits".to_owned(),
+            pops => format!("{} pops", grouped(pops.into())),
+        },
+    );
+    row("frames", format!("{} drawn, {} kept", statistics.frames_drawn, statistics.frames_skipped));
+    rows
+}
+
+/// The list of keys, in the middle.
+pub fn help(ctx: &egui::Context, is_open: &mut bool) {
+    egui::Window::new("Mouse and keys")
+        .open(is_open)
+        .anchor(Align2::CENTER_CENTER, [0.0, 0.0])
+        .collapsible(false)
+        .resizable(false)
+        .show(ctx, |ui| {
+            Grid::new("help").num_columns(2).spacing([16.0, 4.0]).show(ui, |ui| {
+                for (keys, effect) in keys::HELP {
+                    ui.strong(keys);
+                    ui.label(effect);
+                    ui.end_row();
+                }
+            });
+        });
+}
+
+/// A line in the middle of an empty picture.
+pub fn hint(ui: &Ui, picture: Rect, text: &str) {
+    let font = egui::FontId::proportional(18.0);
+    ui.painter().text(picture.center(), Align2::CENTER_CENTER, text, font, Color32::GRAY);
+}
+
+/// Progress of a conversion and what happened, in the bottom left corner of the picture. Returns
+/// whether the conversion is to be cancelled; dismissed notices are removed.
+pub fn progress_and_notices(
+    ctx: &egui::Context,
+    picture: Rect,
+    is_opening: bool,
+    advance: Option<&Advance>,
+    notices: &mut Vec<Notice>,
+) -> bool {
+    let mut cancelled = false;
+    if !is_opening && notices.is_empty() {
+        return cancelled;
+    }
+    over(ctx, "progress", picture, Align2::LEFT_BOTTOM, |ui| {
+        ui.set_max_width((picture.width() - 40.0).clamp(80.0, 560.0));
+        let mut dismissed = None;
+        for (index, notice) in notices.iter().enumerate() {
+            ui.horizontal_top(|ui| {
+                dismissed = if ui.small_button("x").clicked() { Some(index) } else { dismissed };
+                let color = if notice.is_error {
+                    ui.visuals().error_fg_color
+                } else {
+                    ui.visuals().warn_fg_color
+                };
+                ui.add(egui::Label::new(RichText::new(&notice.text).color(color)).wrap());
+            });
+        }
+        if let Some(index) = dismissed {
+            notices.remove(index);
+        }
+        if is_opening {
+            ui.horizontal(|ui| {
+                cancelled = ui.button("Cancel").clicked();
+                match advance {
+                    Some(advance) => {
+                        let name = advance.path.file_name().unwrap_or_default().to_string_lossy();
+                        let share = advance.points_done as f32 / advance.points_total.max(1) as f32;
+                        let text = format!(
+                            "Converting {name}: {}, {} of {}",
+                            advance.stage,
+                            short_count(advance.points_done as f64),
+                            short_count(advance.points_total as f64)
+                        );
+                        ui.add(ProgressBar::new(share.min(1.0)).desired_width(420.0).text(text));
+                    }
+                    None => {
+                        ui.label("Opening");
+                    }
+                }
+            });
+        }
+    });
+    cancelled
+}
+
+/// A see-through box in a corner of the picture.
+fn over(
+    ctx: &egui::Context,
+    name: &str,
+    picture: Rect,
+    corner: Align2,
+    contents: impl FnOnce(&mut Ui),
+) {
+    Area::new(Id::unique(name))
+        .pivot(corner)
+        .fixed_pos(corner.pos_in_rect(&picture.shrink(8.0)))
+        .constrain_to(picture)
+        .show(ctx, |ui| {
+            let frame = egui::Frame::popup(ui.style()).multiply_with_opacity(0.85);
+            frame.show(ui, contents);
+        });
+}
+
+fn color_name(mode: &ColorMode) -> String {
+    match mode {
+        ColorMode::Auto => "Automatic".to_owned(),
+        ColorMode::Rgb => "RGB".to_owned(),
+        ColorMode::Elevation => "Elevation".to_owned(),
+        ColorMode::Intensity => "Intensity".to_owned(),
+        ColorMode::Class => "Classification".to_owned(),
+        ColorMode::Attribute(name) => name.clone(),
+    }
+}
+
+fn rule_name(rule: &LevelRule) -> &'static str {
+    LevelRule { off_axis: false, ..*rule }.name()
+}
+
+fn capitalized(word: &str) -> String {
+    let mut letters = word.chars();
+    letters.next().map_or(String::new(), |first| first.to_uppercase().chain(letters).collect())
+}
+
+fn of(part: String, whole: String) -> String {
+    format!("{part} / {whole}")
+}
+
+fn milliseconds(ms: f64) -> String {
+    format!("{ms:.1} ms")
+}
+
+/// `1 234 567`, with thin gaps.
+fn grouped(number: u64) -> String {
+    let digits = number.to_string();
+    let mut text = String::new();
+    for (index, digit) in digits.chars().enumerate() {
+        if index > 0 && (digits.len() - index) % 3 == 0 {
+            text.push(' ');
+        }
+        text.push(digit);
+    }
+    text
+}
+
+/// `1.5 M`.
+fn short_count(number: f64) -> String {
+    match number {
+        n if n >= 1e9 => format!("{:.2} G", n / 1e9),
+        n if n >= 1e6 => format!("{:.2} M", n / 1e6),
+        n if n >= 1e3 => format!("{:.0} k", n / 1e3),
+        n => format!("{n:.0}"),
+    }
+}
+
+/// Reads `1.5 M`, `20k`, `3000`.
+fn parse_count(text: &str) -> Option<f64> {
+    let text = text.trim();
+    let (number, factor) = match text.char_indices().last()? {
+        (at, 'k' | 'K') => (&text[..at], 1e3),
+        (at, 'm' | 'M') => (&text[..at], 1e6),
+        (at, 'g' | 'G') => (&text[..at], 1e9),
+        _ => (text, 1.0),
+    };
+    number.trim().parse::<f64>().ok().map(|number| number * factor)
+}
+
+fn bytes(count: u64) -> String {
+    let count = count as f64;
+    match count {
+        n if n >= f64::from(1u32 << 30) => format!("{:.2} GiB", n / f64::from(1u32 << 30)),
+        n if n >= f64::from(1u32 << 20) => format!("{:.1} MiB", n / f64::from(1u32 << 20)),
+        n if n >= 1024.0 => format!("{:.0} KiB", n / 1024.0),
+        n => format!("{n:.0} B"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_readable_and_read_back() {
+        assert_eq!(grouped(0), "0");
+        assert_eq!(grouped(123), "123");
+        assert_eq!(grouped(10_653_336), "10 653 336");
+        for number in [7.0, 20e3, 1.25e6, 5e6, 2e9] {
+            assert_eq!(parse_count(&short_count(number)), Some(number));
+        }
+        assert_eq!(parse_count(" 3 m"), Some(3e6));
+        assert_eq!(parse_count("many"), None);
+        assert_eq!(parse_count(""), None);
+        assert_eq!(bytes(1536), "2 KiB");
+        assert_eq!(bytes(3 << 29), "1.50 GiB");
+    }
+
+    #[test]
+    fn lengths_show_about_five_digits() {
+        assert_eq!(decimals(4655.0), 1);
+        assert_eq!(decimals(0.02), 6);
+        assert_eq!(decimals(0.0), 3);
+    }
+
+    #[test]
+    fn the_name_of_a_reference_system_is_found() {
+        assert_eq!(wkt_name(r#"PROJCS["UTM 10N",GEOGCS["x"]]"#), Some("UTM 10N"));
+        assert_eq!(wkt_name("LOCAL_CS[]"), None);
+    }
+}

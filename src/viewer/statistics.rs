@@ -1,0 +1,71 @@
+//! What the window has done so far: counters for the overlay, and as JSON for scripts and tests.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use serde::Serialize;
+
+use crate::frame::FrameStats;
+
+/// A snapshot of the window's counters.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Statistics {
+    /// The adapter, in words.
+    pub adapter: String,
+    /// How points are drawn: `compute`, `raster` or `cpu`.
+    pub renderer: &'static str,
+    /// Files on view.
+    pub files: Vec<PathBuf>,
+    /// Points of these files.
+    pub points: u64,
+    /// Nodes of these files.
+    pub nodes: u64,
+    /// Frames of points drawn.
+    pub frames_drawn: u64,
+    /// Times the window was painted with the picture it had.
+    pub frames_skipped: u64,
+    /// Size of the picture, pixels.
+    pub width_px: u32,
+    /// Size of the picture, pixels.
+    pub height_px: u32,
+    /// What points are coloured by.
+    pub color: String,
+    /// Setting.
+    pub point_budget: u64,
+    /// Setting.
+    pub error_px: f64,
+    /// Setting.
+    pub splat: &'static str,
+    /// Setting.
+    pub rule: &'static str,
+    /// Where the eye is.
+    pub eye: [f64; 3],
+    /// Unit viewing direction.
+    pub forward: [f64; 3],
+    /// Bytes read from disk by all frames.
+    pub bytes_read: u64,
+    /// Bytes sent to the device by all frames.
+    pub bytes_uploaded: u64,
+    /// Most bytes of points held for drawing.
+    pub node_limit_bytes: u64,
+    /// Whether a file is being opened or converted.
+    pub is_opening: bool,
+    /// The last frame that was drawn.
+    pub frame: FrameStats,
+    /// What went wrong so far.
+    pub notices: Vec<String>,
+}
+
+impl Statistics {
+    /// Writes them as JSON; the file is whole or not there.
+    pub fn write(&self, path: &Path) -> anyhow::Result<()> {
+        let attempt = || -> anyhow::Result<()> {
+            let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+            let mut file = tempfile::NamedTempFile::new_in(folder.unwrap_or(Path::new(".")))?;
+            serde_json::to_writer_pretty(&mut file, self)?;
+            file.persist(path)?;
+            Ok(())
+        };
+        attempt().with_context(|| format!("{}: cannot write", path.display()))
+    }
+}

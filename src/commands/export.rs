@@ -6,12 +6,15 @@
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::atomic::Ordering;
 
 use anyhow::{Context, bail};
 use clap::Args;
 use glam::{DVec3, I64Vec3};
 use rayon::prelude::*;
 
+use super::convert::cancelled_by_signal;
+use crate::build::BuildError;
 use crate::geometry::Aabb;
 use crate::ids::NodeId;
 use crate::input::LasTemplate;
@@ -72,7 +75,11 @@ pub fn run(args: ExportArgs) -> anyhow::Result<ExitCode> {
         .map(NodeId)
         .filter(|&node| selection.takes_node(&store, node))
         .collect();
+    let cancelled = cancelled_by_signal();
     for group in nodes.chunks(NODES_AT_ONCE) {
+        if cancelled.load(Ordering::Relaxed) {
+            return Err(BuildError::Interrupted.into());
+        }
         let parts: Vec<anyhow::Result<Vec<u8>>> = group
             .par_iter()
             .map(|&node| {

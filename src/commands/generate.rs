@@ -3,13 +3,16 @@
 use std::io;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::atomic::Ordering;
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use glam::DVec3;
 use rayon::prelude::*;
 
+use super::convert::cancelled_by_signal;
 use super::quantities::parse_count;
+use crate::build::BuildError;
 use crate::input::{LasTemplate, NewScan, PointFormat};
 use crate::output::{Compression, LasWriter};
 use crate::points::Lattice;
@@ -34,6 +37,10 @@ pub struct GenerateArgs {
     /// File to write, .las or .laz
     #[arg(short, long, value_name = "FILE")]
     pub output: PathBuf,
+
+    /// Replace an existing file
+    #[arg(long)]
+    pub overwrite: bool,
 
     /// Number of points, such as 50M
     #[arg(long, default_value = "1M", value_parser = parse_count)]
@@ -64,6 +71,9 @@ pub fn run(args: GenerateArgs) -> anyhow::Result<ExitCode> {
         Some("laz") => Compression::Laz,
         _ => anyhow::bail!("the output must end in .las or .laz: {}", args.output.display()),
     };
+    if args.output.exists() && !args.overwrite {
+        anyhow::bail!("{}: exists already (--overwrite replaces it)", args.output.display());
+    }
     anyhow::ensure!(args.step.is_finite() && args.step > 0.0, "--step must be above 0");
     let settings = SceneSettings {
         points: args.points,
@@ -87,7 +97,11 @@ pub fn run(args: GenerateArgs) -> anyhow::Result<ExitCode> {
     let mut writer = LasWriter::create(&args.output, &template, &schema, compression)?;
     let mut records = vec![0; BATCH_POINTS * scene::RECORD_BYTES];
     let mut first = 0;
+    let cancelled = cancelled_by_signal();
     while first < args.points {
+        if cancelled.load(Ordering::Relaxed) {
+            return Err(BuildError::Interrupted.into());
+        }
         let count = (args.points - first).min(BATCH_POINTS as u64) as usize;
         let batch = &mut records[..count * scene::RECORD_BYTES];
         let parts = batch.par_chunks_mut(PART_POINTS * scene::RECORD_BYTES).enumerate();

@@ -396,6 +396,33 @@ fn a_chunk_table_pointer_at_the_end_of_the_file_is_found() {
 }
 
 #[test]
+fn a_laz_file_of_no_points_may_end_where_they_would_start() {
+    for (minor, format) in [(2, 3), (4, 6)] {
+        let specimen = Specimen::new(minor, format, 0, 0, Compression::Laz);
+        let start = specimen.points_start();
+        // Some writers leave the place of the chunk table, unknown, some not even that.
+        let specimen = specimen.put(start, &(-1i64).to_le_bytes());
+        for end in [start, start + 8] {
+            let scan = LasScan::open(&specimen.write(&specimen.bytes[..end])).unwrap();
+            assert_eq!((scan.points(), scan.blocks().len()), (0, 0));
+        }
+    }
+}
+
+#[test]
+fn a_file_that_shrinks_under_the_reader_is_told() {
+    for specimen in [Specimen::las(), Specimen::laz(), Specimen::layered()] {
+        let scan = specimen.open().unwrap();
+        let start = specimen.points_start();
+        std::fs::write(scan.path(), &specimen.bytes[..start + 100]).unwrap();
+        let fault = read_all(&scan).map(|records| records.len()).unwrap_err().fault;
+        let text = fault.to_string();
+        assert_fault!(fault, LasFault::Shrunk { .. } | LasFault::Chunk { .. });
+        assert!(text.contains("ended at byte") || text.contains("became shorter"), "{text}");
+    }
+}
+
+#[test]
 fn the_oldest_laz_has_the_points_that_its_bytes_hold() {
     let Some(path) = shared("pf0-pointwise.laz") else { return };
     let whole = Specimen::from_file(&path).readable().0;

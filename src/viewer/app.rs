@@ -16,7 +16,7 @@ use crate::geometry::{View, ViewPreset};
 use crate::gpu::GpuError;
 use crate::viewer::canvas::Canvas;
 use crate::viewer::keys::{self, KeyCommand};
-use crate::viewer::opening::{Opened, OpenedFile, Opening};
+use crate::viewer::opening::{Advance, Opened, OpenedFile, Opening};
 use crate::viewer::panels::{self, FileAction, Notice};
 use crate::viewer::statistics::Statistics;
 use crate::viewer::{CameraControl, DragKind};
@@ -198,6 +198,11 @@ impl Viewer {
         }
     }
 
+    /// The conversion that is going on.
+    pub fn conversion(&self) -> Option<Advance> {
+        self.opening.as_ref().and_then(Opening::advance)
+    }
+
     /// Why the device is gone; nothing can be drawn any more.
     pub fn device_lost(&self) -> Option<&str> {
         self.device_lost.as_deref()
@@ -340,7 +345,9 @@ impl Viewer {
         let response = ui.allocate_rect(rect, Sense::drag());
         ui.painter().rect_filled(rect, 0.0, background(&self.settings));
         if self.files.is_empty() {
-            panels::hint(ui, rect, "Drop a store or a scan here");
+            if self.opening.is_none() {
+                panels::hint(ui, rect, "Drop a store or a scan here");
+            }
         } else {
             self.move_camera(&ctx, &response);
             self.draw(&ctx);
@@ -355,7 +362,7 @@ impl Viewer {
         if ctx.input(|input| !input.raw.hovered_files.is_empty()) {
             panels::hint(ui, rect, "Let go to open");
         }
-        let advance = self.opening.as_ref().and_then(Opening::advance);
+        let advance = self.conversion();
         let is_opening = self.opening.is_some();
         let notices = &mut self.notices;
         if panels::progress_and_notices(&ctx, rect, is_opening, advance.as_ref(), notices)

@@ -61,7 +61,15 @@ impl Statistics {
     pub fn write(&self, path: &Path) -> anyhow::Result<()> {
         let attempt = || -> anyhow::Result<()> {
             let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-            let mut file = tempfile::NamedTempFile::new_in(folder.unwrap_or(Path::new(".")))?;
+            let mut builder = tempfile::Builder::new();
+            builder.prefix(".esker-");
+            #[cfg(unix)]
+            {
+                use std::os::unix::fs::PermissionsExt;
+                // Narrowed by the umask, as for any file.
+                builder.permissions(std::fs::Permissions::from_mode(0o666));
+            }
+            let mut file = builder.tempfile_in(folder.unwrap_or(Path::new(".")))?;
             serde_json::to_writer_pretty(&mut file, self)?;
             file.persist(path)?;
             Ok(())

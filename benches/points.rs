@@ -36,7 +36,10 @@ fn main() {
         }
     };
     println!("{}, {} threads", gpu.description(), rayon::current_num_threads());
-    println!("{:>24} {:>10} {:>6} {:>9} {:>9} {:>7}", "path", "points", "nodes", "min ms", "med ms", "/ bare");
+    println!(
+        "{:>24} {:>10} {:>6} {:>9} {:>9} {:>7}",
+        "path", "points", "nodes", "min ms", "med ms", "/ bare"
+    );
     for (name, error_px) in [("2 M points", 0.9), ("0.5 M points", 1.8)] {
         let mut settings = FrameSettings::default();
         settings.cut.error_px = error_px;

@@ -69,10 +69,22 @@ pub fn main() -> ExitCode {
             ExitCode::from(130)
         }
         Err(error) => {
-            eprintln!("esker: {error:#}");
+            eprintln!("esker: {}", one_line(&error));
             ExitCode::FAILURE
         }
     }
+}
+
+/// An error and its causes; a cause that its error quotes already is not told twice.
+fn one_line(error: &anyhow::Error) -> String {
+    error.chain().fold(String::new(), |line, cause| {
+        let cause = cause.to_string();
+        match line.as_str() {
+            "" => cause,
+            _ if line.contains(&cause) => line,
+            _ => format!("{line}: {cause}"),
+        }
+    })
 }
 
 fn is_interruption(error: &anyhow::Error) -> bool {

@@ -1,0 +1,72 @@
+//! Protects people's stores: files of every released version go on opening and mean the same.
+//!
+//! `sample_data/store-v1.esker` was written by version 0.1.0 from the 60 seeded points below
+//! (depth 2, threshold 8, colour of 16 bits).
+
+#[path = "support/las_file.rs"]
+mod las_file;
+
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+
+use esker::build::{ConvertOptions, Silent, convert};
+use esker::ids::NodeId;
+use esker::store::{Store, check};
+use las_file::{LasPoint, RECORD_BYTES, record, write_las};
+
+fn points() -> Vec<LasPoint> {
+    (0..60)
+        .map(|i: i32| LasPoint {
+            position: [i * 37 % 101, i * 53 % 97, i % 7],
+            color: [i as u16 * 700, 40_000, i as u16],
+            intensity: i as u16,
+        })
+        .collect()
+}
+
+fn records_of(store: &Store) -> Vec<Vec<u8>> {
+    let mut all = Vec::new();
+    let mut records = Vec::new();
+    for node in 0..store.octree().nodes().len() as u32 {
+        store.read_records(NodeId(node), &mut records).expect("the node reads");
+        all.extend(records.chunks_exact(RECORD_BYTES).map(<[u8]>::to_vec));
+    }
+    all
+}
+
+#[test]
+fn version_1_opens_and_holds_its_points() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sample_data/store-v1.esker");
+    assert_eq!(check(&path).expect("it opens").findings, []);
+    let store = Store::open(&path).expect("it opens");
+    let mut found = records_of(&store);
+    found.sort_unstable();
+    let mut expected: Vec<Vec<u8>> =
+        points().iter().zip(0..).map(|(point, i)| record(point, i).to_vec()).collect();
+    expected.sort_unstable();
+    assert_eq!(found, expected);
+}
+
+#[test]
+fn the_layout_has_not_changed_unnoticed() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sample_data/store-v1.esker");
+    let old = Store::open(&path).expect("it opens");
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let (input, output) = (folder.path().join("small.las"), folder.path().join("small.esker"));
+    write_las(&input, &points());
+    let options = ConvertOptions { depth: 2, threshold: 8, ..ConvertOptions::default() };
+    convert(&[input], &output, &options, &Silent, &AtomicBool::new(false)).expect("it converts");
+    // All but the program's version in the metadata must be the same bytes.
+    let new = Store::open(&output).expect("it opens");
+    let tail = |path: &Path, store: &Store| {
+        let bytes = std::fs::read(path).expect("the store reads");
+        bytes[store.header().directory.offset as usize..].to_vec()
+    };
+    assert!(tail(&path, &old) == tail(&output, &new), "directory, node data or appendix differ");
+    let without_version = |store: &Store| {
+        let mut metadata = store.metadata().clone();
+        metadata.generator.clear();
+        metadata
+    };
+    assert_eq!(without_version(&old), without_version(&new));
+}

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use crate::build::BuildError;
 use crate::build::encode::{Encoding, FinishedNode, join_ranges};
 use crate::build::options::{ConvertOptions, DEPTH_RANGE};
-use crate::build::out_of_core::{OutOfCore, RowBatch, RowSource, least_region_points};
+use crate::build::out_of_core::{OutOfCore, RowBatch, RowSource, TakeBatches, least_region_points};
 use crate::build::point_tree::Entry;
 use crate::build::progress::{Progress, Stage};
 use crate::build::rows::{INDEX_BYTES, Rows};
@@ -385,7 +385,7 @@ impl RowSource for ScannedRows<'_> {
     fn for_each_group(
         &mut self,
         spill: &mut SpillFile,
-        take: &mut dyn FnMut(&mut SpillFile, &[RowBatch]) -> Result<(), BuildError>,
+        take: TakeBatches,
     ) -> Result<(), BuildError> {
         self.sources.for_each_group(self.cancelled, &mut |batches| {
             let batches: Vec<RowBatch> = batches
@@ -413,7 +413,7 @@ impl RowSource for SpooledRows<'_> {
     fn for_each_group(
         &mut self,
         spill: &mut SpillFile,
-        take: &mut dyn FnMut(&mut SpillFile, &[RowBatch]) -> Result<(), BuildError>,
+        take: TakeBatches,
     ) -> Result<(), BuildError> {
         let record_bytes = self.schema.record_bytes as usize;
         let batch_bytes = record_bytes << 15;

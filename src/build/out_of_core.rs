@@ -60,13 +60,16 @@ impl RowBatch<'_> {
     }
 }
 
+/// Takes some batches of a job's points; may append to other streams of the spill file.
+pub type TakeBatches<'a> = &'a mut dyn FnMut(&mut SpillFile, &[RowBatch]) -> Result<(), BuildError>;
+
 /// Hands out the points of a job, in input order, as often as asked.
 pub trait RowSource {
     /// Calls `take` with batches that may be looked at in parallel.
     fn for_each_group(
         &mut self,
         spill: &mut SpillFile,
-        take: &mut dyn FnMut(&mut SpillFile, &[RowBatch]) -> Result<(), BuildError>,
+        take: TakeBatches,
     ) -> Result<(), BuildError>;
 }
 
@@ -80,7 +83,7 @@ impl RowSource for SpilledRows<'_> {
     fn for_each_group(
         &mut self,
         spill: &mut SpillFile,
-        take: &mut dyn FnMut(&mut SpillFile, &[RowBatch]) -> Result<(), BuildError>,
+        take: TakeBatches,
     ) -> Result<(), BuildError> {
         let row_bytes = INDEX_BYTES + self.schema.record_bytes as usize;
         spill.visit(self.stream, row_bytes, PIECE_BYTES, &mut |spill, bytes| {

@@ -9,6 +9,9 @@ use std::path::{Path, PathBuf};
 
 use crate::build::BuildError;
 
+/// Takes whole rows of a stream; may append to other streams.
+pub type TakeRows<'a> = &'a mut dyn FnMut(&mut SpillFile, &[u8]) -> Result<(), BuildError>;
+
 /// Index of a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StreamId(usize);
@@ -85,7 +88,7 @@ impl SpillFile {
         stream: StreamId,
         row_bytes: usize,
         piece_bytes: usize,
-        take: &mut dyn FnMut(&mut SpillFile, &[u8]) -> Result<(), BuildError>,
+        take: TakeRows,
     ) -> Result<(), BuildError> {
         let blocks = self.streams[stream.0].blocks.clone();
         let piece_bytes = piece_bytes.max(row_bytes);

@@ -45,10 +45,10 @@ pub fn las_bytes(points: &[LasPoint], first_index: u64, scale: f64, offset: [f64
     put(105, &(RECORD_BYTES as u16).to_le_bytes());
     put(107, &(points.len() as u32).to_le_bytes());
     put(111, &(points.len() as u32).to_le_bytes());
-    for axis in 0..3 {
+    for (axis, offset) in offset.into_iter().enumerate() {
         put(131 + 8 * axis, &scale.to_le_bytes());
-        put(155 + 8 * axis, &offset[axis].to_le_bytes());
-        let world = points.iter().map(|p| f64::from(p.position[axis]) * scale + offset[axis]);
+        put(155 + 8 * axis, &offset.to_le_bytes());
+        let world = points.iter().map(|p| f64::from(p.position[axis]) * scale + offset);
         let (min, max) =
             world.fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
         put(179 + 16 * axis, &max.to_le_bytes());

@@ -89,3 +89,69 @@ fn draw_node(
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{Camera, MortonKey};
+    use crate::octree::{LevelIndex, Node, RootCube};
+    use crate::points::Lattice;
+    use glam::{I64Vec3, UVec3};
+    use std::convert::Infallible;
+
+    /// One node at UTM coordinates, millimetre steps, with these local cells and colours.
+    fn picture(points: &[([u32; 3], u32)]) -> (Octree, View, Picture) {
+        let lattice = Lattice { scale: DVec3::splat(0.001), offset: DVec3::new(5e5, 5e6, 500.0) };
+        let node = Node {
+            depth: 0,
+            cell: UVec3::ZERO,
+            parent: None,
+            first_child: NodeId(1),
+            child_mask: 0,
+            levels: LevelIndex::new(vec![1, points.len() as u32]).expect("valid"),
+            tight_min: UVec3::ZERO,
+            tight_max: UVec3::splat(1 << 14),
+        };
+        let root = RootCube { min: I64Vec3::new(-700, 40, 9), bits: 15 };
+        let octree = Octree::new(lattice, root, 1, vec![node]).expect("valid");
+        let eye = lattice.world(root.min + I64Vec3::new(8000, -20_000, 8000));
+        let camera = Camera::looking_at(eye, eye + DVec3::Y, DVec3::Z, 1.0, 0.01);
+        let view = View { camera, width_px: 64, height_px: 48 };
+        let read = |_, positions: &mut Vec<u32>, colors: &mut Vec<u32>| {
+            let codes = points.iter().map(|point| u64::encode(point.0));
+            *positions = codes.flat_map(|code| [code as u32, (code >> 32) as u32]).collect();
+            *colors = points.iter().map(|point| point.1).collect();
+            Ok::<(), Infallible>(())
+        };
+        let picture = reference_picture(&octree, &view, 7, read).expect("reading cannot fail");
+        (octree, view, picture)
+    }
+
+    #[test]
+    fn each_point_stands_where_the_view_projects_it() {
+        let cells = [[8000, 0, 8000], [1000, 5, 3000], [15_000, 16_000, 9000], [30_000, 0, 8000]];
+        let points: Vec<_> = cells.iter().zip(1..).map(|(&cell, color)| (cell, color)).collect();
+        let (octree, view, picture) = picture(&points);
+        let mut seen = 0;
+        for &(cell, color) in &points {
+            let place = octree.root_cube().min + UVec3::from_array(cell).as_i64vec3();
+            let (x, y, w) = view.project(octree.lattice().world(place)).expect("in front");
+            if (0.0..64.0).contains(&x) && (0.0..48.0).contains(&y) {
+                let pixel = y as usize * 64 + x as usize;
+                assert_eq!(picture.colors[pixel], color);
+                assert!((f64::from(picture.distances[pixel]) - w).abs() < 1e-5);
+                seen += 1;
+            }
+        }
+        assert_eq!((seen, picture.covered()), (3, 3), "the last one is off screen");
+        assert_eq!(picture.colors.iter().filter(|&&color| color == 7).count(), 64 * 48 - 3);
+    }
+
+    #[test]
+    fn the_nearest_wins_then_the_smaller_colour() {
+        let (_, _, picture) =
+            picture(&[([8000, 9000, 8000], 1), ([8000, 10, 8000], 9), ([8000, 10, 8000], 5)]);
+        assert_eq!(picture.covered(), 1);
+        assert_eq!(picture.colors.iter().find(|&&color| color != 7), Some(&5));
+    }
+}

@@ -225,13 +225,15 @@ fn traverse(
 ) {
     let frustum = Frustum::new(view);
     scratch.spaces.clear();
-    scratch.spaces.extend(scene.iter().map(|(octree, _)| Space::new(octree, view, &frustum)));
+    let space = |(octree, _): &(&Octree, _)| Space::new(octree, view, &frustum, &settings.rule);
+    scratch.spaces.extend(scene.iter().map(space));
     scratch.wanted.resize_with(scene.len().max(scratch.wanted.len()), Vec::new);
     scratch.wanted.iter_mut().for_each(Vec::clear);
 
     let mut walk = Walk {
         scene,
         view,
+        focal_px: view.focal_px(),
         settings,
         spaces: &scratch.spaces,
         wanted: &mut scratch.wanted,
@@ -306,11 +308,15 @@ struct Space {
     /// World length of a lattice step.
     scale: DVec3,
     bits: u32,
+    /// World edges of the root cell.
+    root_size: DVec3,
+    /// The length that stands for the root cell under the rule.
+    root_span: f64,
     descent: CellDescent,
 }
 
 impl Space {
-    fn new(octree: &Octree, view: &View, frustum: &Frustum) -> Self {
+    fn new(octree: &Octree, view: &View, frustum: &Frustum, rule: &LevelRule) -> Self {
         let lattice = octree.lattice();
         let root = octree.root_cube();
         let half_steps = 0.5 * f64::from(root.bits).exp2();
@@ -319,6 +325,8 @@ impl Space {
             eye_steps: lattice.lattice(view.camera.eye) - root.min.as_dvec3(),
             scale: lattice.scale,
             bits: root.bits,
+            root_size: octree.cell_size(0),
+            root_span: rule.span(octree.cell_size(0)),
             descent: frustum.descend(center, half_steps * lattice.scale),
         }
     }
@@ -334,6 +342,7 @@ impl Space {
 struct Walk<'a> {
     scene: &'a [(&'a Octree, &'a dyn Residency)],
     view: &'a View,
+    focal_px: f64,
     settings: &'a CutSettings,
     spaces: &'a [Space],
     wanted: &'a mut [Vec<u8>],
@@ -506,8 +515,8 @@ impl Walk<'_> {
         }
         let bounds = space.cell_box(node);
         let distance = bounds.distance(DVec3::ZERO);
-        let focal_px = self.view.focal_px();
-        let coarsest_px = self.cell_px(&bounds, distance, octree.cell_size(node.depth));
+        let shrink = (-f64::from(node.depth)).exp2();
+        let coarsest_px = self.cell_px(&bounds, distance, space.root_span * shrink);
         let finest_px = coarsest_px * (-f64::from(octree.depth())).exp2();
         let judged_px = match self.settings.rule.cell {
             RuleCell::Own => finest_px,
@@ -518,9 +527,9 @@ impl Walk<'_> {
             return None;
         }
         let level = required_level(coarsest_px, self.settings.error_px, octree.depth());
-        let edge = octree.cell_size(node.depth).max_element();
+        let edge = space.root_size.max_element() * shrink;
         let priority_px = match distance > 0.0 {
-            true => projected_px(edge, distance.max(self.view.camera.near), focal_px),
+            true => projected_px(edge, distance.max(self.view.camera.near), self.focal_px),
             false => f64::INFINITY,
         };
         Some(Candidate {
@@ -535,13 +544,12 @@ impl Walk<'_> {
         })
     }
 
-    /// Size on screen of a cell within a node's box, as the rule judges it, pixels.
-    fn cell_px(&self, bounds: &Aabb, distance: f64, cell_size: DVec3) -> f64 {
-        let rule = &self.settings.rule;
-        let cosine = match rule.off_axis {
+    /// Size on screen of a length within a node's box, as the rule judges it, pixels.
+    fn cell_px(&self, bounds: &Aabb, distance: f64, span: f64) -> f64 {
+        let cosine = match self.settings.rule.off_axis {
             true => off_axis_cosine(self.view, bounds.center(), 0.5 * bounds.diagonal()),
             false => 1.0,
         };
-        projected_px(rule.span(cell_size), distance * cosine * cosine, self.view.focal_px())
+        projected_px(span, distance * cosine * cosine, self.focal_px)
     }
 }

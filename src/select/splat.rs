@@ -44,6 +44,9 @@ impl SplatPolicy {
 }
 
 /// How large the points are drawn.
+///
+/// A splat's side is `multiplier` times the cell edge of its level, as large as it appears at the
+/// point's depth, at least one pixel and at most `max_px`; `passes` rounds it up to whole pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SplatSettings {
     /// Which drawn level sets the size.
@@ -58,11 +61,6 @@ impl Default for SplatSettings {
     fn default() -> Self {
         SplatSettings { policy: SplatPolicy::default(), multiplier: 1.0, max_px: 24.0 }
     }
-}
-
-/// Edge on screen, pixels, of a splat for a cell edge `cell_edge` at view depth `depth`.
-pub fn splat_size_px(settings: &SplatSettings, cell_edge: f64, depth: f64, focal_px: f64) -> f64 {
-    (settings.multiplier * cell_edge * focal_px / depth).min(settings.max_px).max(1.0)
 }
 
 /// One drawn node in the table that is sorted by node id.
@@ -214,4 +212,118 @@ fn coarsest_complete(rows: &[DrawnRow], wanted: &[u8], levels: &mut [u32]) {
 fn drawn_children(row: &DrawnRow) -> std::ops::Range<usize> {
     let first = row.first_drawn_child as usize;
     first..first + row.child_drawn_mask.count_ones() as usize
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::octree::{LevelIndex, Node, RootCube};
+    use crate::points::Lattice;
+    use crate::select::{DrawNode, Request};
+    use glam::{DVec3, I64Vec3, UVec3};
+
+    /// Two levels per node, so that the nodes show levels 2, 3, 3 and 4:
+    ///
+    /// ```text
+    /// 0 root ─┬─ 1 (octant 0) ─── 3 (octant 5)
+    ///         └─ 2 (octant 7)
+    /// ```
+    fn octree() -> Octree {
+        let row = |depth, cell: [u32; 3], parent: Option<u32>, first_child, child_mask| Node {
+            depth,
+            cell: UVec3::from_array(cell),
+            parent: parent.map(NodeId),
+            first_child: NodeId(first_child),
+            child_mask,
+            levels: LevelIndex::new(vec![1, 4, 12]).expect("valid"),
+            tight_min: UVec3::ZERO,
+            tight_max: UVec3::ZERO,
+        };
+        let nodes = vec![
+            row(0, [0, 0, 0], None, 1, 0b1000_0001),
+            row(1, [0, 0, 0], Some(0), 3, 0b0010_0000),
+            row(1, [1, 1, 1], Some(0), 4, 0),
+            row(2, [1, 0, 1], Some(1), 4, 0),
+        ];
+        let lattice = Lattice { scale: DVec3::ONE, offset: DVec3::ZERO };
+        let root = RootCube { min: I64Vec3::ZERO, bits: 6 };
+        Octree::new(lattice, root, 2, nodes).expect("valid")
+    }
+
+    /// Links a cut; the children of the root and of node 1 are wanted. Splat levels by node.
+    fn linked(drawn: &[(u32, u32)], requested: &[u32], policy: SplatPolicy) -> (Cut, Vec<u32>) {
+        let draw = drawn
+            .iter()
+            .map(|&(node, count)| DrawNode { node: NodeId(node), count, splat_level: 0 })
+            .collect();
+        let requests = requested
+            .iter()
+            .map(|&node| Request { node: NodeId(node), count: 12, priority_px: 1.0 })
+            .collect();
+        let mut cut = Cut { draw, requests, ..Cut::default() };
+        let wanted: Vec<u8> = drawn
+            .iter()
+            .map(|(node, _)| [0b1000_0001, 0b0010_0000, 0, 0][*node as usize])
+            .collect();
+        link(&octree(), &mut cut, &wanted, policy, &mut Scratch::default());
+        let level = |row: &DrawnRow| cut.draw[row.draw as usize].splat_level;
+        let levels = cut.table.iter().map(level).collect();
+        (cut, levels)
+    }
+
+    #[test]
+    fn rows_are_sorted_and_lead_to_drawn_children() {
+        let (cut, _) = linked(&[(0, 12), (2, 12), (1, 12), (3, 12)], &[], SplatPolicy::Own);
+        assert_eq!(cut.table.iter().map(|row| row.node.0).collect::<Vec<_>>(), [0, 1, 2, 3]);
+        assert_eq!(cut.table.iter().map(|row| row.draw).collect::<Vec<_>>(), [0, 2, 1, 3]);
+        let child = |row: usize, octant| cut.table[row].drawn_child(octant);
+        assert_eq!((child(0, 0), child(0, 7), child(1, 5)), (Some(1), Some(2), Some(3)));
+        assert_eq!((child(0, 3), child(1, 4), child(2, 0), child(3, 7)), (None, None, None, None));
+    }
+
+    #[test]
+    fn a_missing_child_is_in_no_row() {
+        let (cut, _) = linked(&[(0, 12), (1, 12), (3, 12)], &[2], SplatPolicy::PerPoint);
+        assert_eq!(cut.table[0].child_drawn_mask, 1);
+        assert_eq!((cut.table[0].drawn_child(7), cut.table[1].drawn_child(5)), (None, Some(2)));
+    }
+
+    #[test]
+    fn the_policies_differ_where_a_child_is_missing() {
+        let drawn = [(0, 12), (1, 12), (3, 12)];
+        let levels = |policy| linked(&drawn, &[2], policy).1;
+        assert_eq!(levels(SplatPolicy::Own), [2, 3, 4]);
+        assert_eq!(levels(SplatPolicy::PerPoint), [2, 3, 4]);
+        assert_eq!(levels(SplatPolicy::Paper), [4, 4, 4], "the root takes the deepest branch");
+        assert_eq!(levels(SplatPolicy::Conservative), [2, 4, 4], "the root keeps its own");
+    }
+
+    /// Node 2 did not fit the budget: it was never asked for, so only `Conservative` minds.
+    #[test]
+    fn a_child_beyond_the_budget_counts_as_missing_for_conservative_sizes_only() {
+        let drawn = [(0, 12), (1, 12)];
+        assert_eq!(linked(&drawn, &[], SplatPolicy::Paper).1, [3, 3]);
+        assert_eq!(linked(&drawn, &[], SplatPolicy::Conservative).1, [2, 3]);
+    }
+
+    #[test]
+    fn with_all_children_the_coarsest_and_the_deepest_differ() {
+        let drawn = [(0, 12), (1, 12), (2, 12), (3, 12)];
+        assert_eq!(linked(&drawn, &[], SplatPolicy::Paper).1, [4, 4, 3, 4]);
+        assert_eq!(linked(&drawn, &[], SplatPolicy::Conservative).1, [3, 4, 3, 4]);
+    }
+
+    /// A parent whose only drawn child misses one itself is not complete by it.
+    #[test]
+    fn incomplete_descendants_do_not_count_for_the_paper() {
+        assert_eq!(linked(&[(0, 12), (1, 12)], &[2, 3], SplatPolicy::Paper).1, [2, 3]);
+    }
+
+    /// A prefix shows a coarser level, but never coarser than what the parent shows there.
+    #[test]
+    fn partly_drawn_nodes_show_the_level_of_their_prefix() {
+        assert_eq!(linked(&[(0, 4)], &[], SplatPolicy::Own).1, [1]);
+        assert_eq!(linked(&[(0, 12), (1, 1)], &[], SplatPolicy::Own).1, [2, 2]);
+        assert_eq!(linked(&[(0, 12), (1, 11)], &[], SplatPolicy::Own).1, [2, 2]);
+    }
 }

@@ -191,7 +191,11 @@ impl Axis {
                 (first..).map(|i| i as f64 * step).take_while(|&v| v <= high * 1.0001).collect()
             }
             Scale::Log => {
-                let mantissas: &[f64] = if high - low > 3.0 { &[1.0] } else { &[1.0, 2.0, 5.0] };
+                let mantissas: &[f64] = match high - low {
+                    decades if decades > 3.0 => &[1.0],
+                    decades if decades > 1.2 => &[1.0, 2.0, 5.0],
+                    _ => &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0],
+                };
                 (low.floor() as i32..=high.ceil() as i32)
                     .flat_map(|decade| mantissas.iter().map(move |m| m * 10f64.powi(decade)))
                     .filter(|v| (low..=high + 1e-9).contains(&v.log10()))

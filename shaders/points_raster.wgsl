@@ -7,7 +7,7 @@
 
 struct Vertex {
     @builtin(position) position: vec4<f32>,
-    @location(0) @interpolate(flat, first) color: u32,
+    @location(0) @interpolate(flat, either) color: u32,
 }
 
 fn vertex_at(pixel: vec2<f32>, splat: Splat, color: u32) -> Vertex {

@@ -224,6 +224,8 @@ impl Viewer {
 
     /// Adds a line about something that happened outside.
     pub fn note(&mut self, text: String, is_error: bool) {
+        // Drivers answer in several lines.
+        let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
         let notice = Notice { text, is_error };
         if !self.notices.contains(&notice) {
             self.notices.push(notice);
@@ -370,7 +372,9 @@ impl Viewer {
         {
             opening.cancel();
         }
-        panels::help(&ctx, &mut self.shows_help);
+        if self.shows_help {
+            panels::help(&ctx, rect);
+        }
     }
 
     /// Draws the points, or finds that the picture still holds.
@@ -442,6 +446,8 @@ impl Viewer {
         };
         let view = self.view();
         if response.drag_started() {
+            // Keys are the camera's again, if a field of the panel had them.
+            ctx.memory_mut(|memory| memory.stop_text_input());
             // Where the button went down, not where the mouse has got to since.
             let origin = ctx.input(|input| input.pointer.press_origin()).unwrap_or(cursor);
             let (modifiers, button) = ctx.input(|input| {

@@ -52,13 +52,24 @@ pub fn views(ui: &mut Ui) -> Option<ViewPreset> {
     asked
 }
 
-/// The colour modes that at least one cloud offers, the usual ones first.
+/// The colour modes that at least one cloud offers, the usual ones first; values that are the same
+/// everywhere are left out.
 pub fn offered_colors<'a>(clouds: impl Iterator<Item = &'a dyn NodeSource>) -> Vec<ColorMode> {
     let mut offered = vec![ColorMode::Auto, ColorMode::Elevation];
     let usual = [ColorMode::Rgb, ColorMode::Intensity, ColorMode::Class];
     let mut others: Vec<ColorMode> = Vec::new();
     for cloud in clouds {
-        for mode in usual.iter().filter(|mode| mode.is_offered_by(cloud)) {
+        let varies = |name: &str| {
+            let index = cloud.schema().find(name).map(|(index, _)| index);
+            let mut ranges = index.into_iter().flat_map(|index| cloud.value_ranges(index));
+            ranges.any(|range| range.max > range.min)
+        };
+        let is_useful = |mode: &&ColorMode| match mode {
+            ColorMode::Rgb => mode.is_offered_by(cloud),
+            ColorMode::Intensity => varies(names::INTENSITY),
+            _ => varies(names::CLASSIFICATION),
+        };
+        for mode in usual.iter().filter(is_useful) {
             if !offered.contains(mode) {
                 offered.push(mode.clone());
             }
@@ -68,7 +79,7 @@ pub fn offered_colors<'a>(clouds: impl Iterator<Item = &'a dyn NodeSource>) -> V
             let is_usual =
                 [names::RGB, names::INTENSITY, names::CLASSIFICATION, names::WAVE_PACKET]
                     .contains(&attribute.name.as_str());
-            if !is_usual && !others.contains(&mode) {
+            if !is_usual && varies(&attribute.name) && !others.contains(&mode) {
                 others.push(mode);
             }
         }
@@ -254,9 +265,11 @@ fn statistic_rows(statistics: &Statistics) -> Vec<(String, String)> {
     row("renderer", statistics.renderer.to_owned());
     row("points drawn", of(grouped(frame.points_drawn), grouped(statistics.points)));
     row("nodes drawn", of(grouped(frame.nodes_drawn.into()), grouped(statistics.nodes)));
-    row("frame", milliseconds(frame.frame_ms));
-    for pass in &frame.passes {
-        row(&format!("  {} ({})", pass.pass, pass.clock), milliseconds(pass.pass_ms));
+    row("frame (cpu)", milliseconds(frame.frame_ms));
+    for clock in ["cpu", "gpu"] {
+        for pass in frame.passes.iter().filter(|pass| pass.clock == clock) {
+            row(&format!("  {} ({clock})", pass.pass), milliseconds(pass.pass_ms));
+        }
     }
     row("draw calls", of(frame.draw_calls.to_string(), format!("{} disp.", frame.dispatches)));
     row("point memory", of(bytes(frame.node_bytes), bytes(statistics.node_limit_bytes)));
@@ -286,21 +299,17 @@ fn statistic_rows(statistics: &Statistics) -> Vec<(String, String)> {
 }
 
 /// The list of keys, in the middle.
-pub fn help(ctx: &egui::Context, is_open: &mut bool) {
-    egui::Window::new("Mouse and keys")
-        .open(is_open)
-        .anchor(Align2::CENTER_CENTER, [0.0, 0.0])
-        .collapsible(false)
-        .resizable(false)
-        .show(ctx, |ui| {
-            Grid::new("help").num_columns(2).spacing([16.0, 4.0]).show(ui, |ui| {
-                for (keys, effect) in keys::HELP {
-                    ui.strong(keys);
-                    ui.label(effect);
-                    ui.end_row();
-                }
-            });
+pub fn help(ctx: &egui::Context, picture: Rect) {
+    over(ctx, "help", picture, Align2::CENTER_CENTER, |ui| {
+        ui.style_mut().wrap_mode = Some(egui::TextWrapMode::Extend);
+        Grid::new("help").num_columns(2).spacing([16.0, 4.0]).min_row_height(0.0).show(ui, |ui| {
+            for (keys, effect) in keys::HELP {
+                ui.strong(keys);
+                ui.label(effect);
+                ui.end_row();
+            }
         });
+    });
 }
 
 /// A line in the middle of an empty picture.

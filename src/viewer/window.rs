@@ -108,10 +108,15 @@ fn explained(error: eframe::Error) -> anyhow::Error {
              Ubuntu install libvulkan1 and mesa-vulkan-drivers (the latter draws without a GPU \
              too). `esker render` makes pictures without any"
         ),
-        eframe::Error::WinitEventLoop(error) => anyhow!(
-            "no display to open a window on: {error}. `esker render` makes pictures without one, \
-             `xvfb-run esker view` a window that nobody sees"
-        ),
+        eframe::Error::WinitEventLoop(error) => {
+            // Before the reason stands a place in somebody else's source.
+            let text = error.to_string();
+            let reason = text.rsplit(": ").next().unwrap_or(&text).trim_end_matches('.');
+            anyhow!(
+                "no display to open a window on: {reason}. `esker render` makes pictures without \
+                 one"
+            )
+        }
         eframe::Error::AppCreation(error) => anyhow!("{error}"),
         other => anyhow!("cannot open a window: {other}"),
     }
@@ -277,7 +282,7 @@ fn open_renderer(
     for (path, _) in able.into_iter().filter(|(_, is_able)| *is_able) {
         match Renderer::on_gpu(Arc::clone(gpu), path, limit_bytes) {
             Ok(renderer) => return Ok((renderer, problems)),
-            Err(error) => problems.push(error.to_string()),
+            Err(error) => problems.push(format!("{error}; another way of drawing is used")),
         }
     }
     Ok((Renderer::on_cpu(limit_bytes), problems))

@@ -13,7 +13,7 @@ use std::time::Instant;
 
 use esker::frame::{FrameSettings, NodeSource, RasterPath, Renderer};
 use esker::geometry::{Camera, MortonKey, View};
-use esker::gpu::layout::{GpuFrame, GpuNode, WORKGROUP_SIZE, position_words};
+use esker::gpu::layout::{GpuFrame, GpuNode, position_words};
 use esker::gpu::{Gpu, shader};
 use esker::passes::Tile;
 use esker::passes::splat::local_cell;
@@ -25,6 +25,8 @@ use memory_cloud::MemoryCloud;
 const POINTS: usize = 4_000_000;
 const BITS: u32 = 16;
 const REPEATS: usize = 30;
+/// As in `points_bare.wgsl`.
+const BARE_WORKGROUP_SIZE: u32 = 128;
 
 fn main() {
     let cloud = Arc::new(seeded_cloud());
@@ -170,8 +172,8 @@ fn bare_times(gpu: &Gpu, cloud: &MemoryCloud, settings: &FrameSettings) -> Vec<f
             splat_px_m: 0.0,
             local_bits: BITS,
             drawn_count: count,
-            drawn_child_mask: 0,
-            first_child_slot: 0,
+            drawn_children: 0,
+            drawn_levels_below: 0,
         };
         gpu.queue().write_buffer(&frame_buffer, 0, bytemuck::bytes_of(&frame));
         gpu.queue().write_buffer(&nodes, 0, bytemuck::bytes_of(&node));
@@ -183,7 +185,7 @@ fn bare_times(gpu: &Gpu, cloud: &MemoryCloud, settings: &FrameSettings) -> Vec<f
             for (group, index) in groups.iter().zip(0..) {
                 pass.set_bind_group(index, group, &[]);
             }
-            let workgroups = count.div_ceil(WORKGROUP_SIZE);
+            let workgroups = count.div_ceil(BARE_WORKGROUP_SIZE);
             let row = workgroups.min(32_768);
             pass.dispatch_workgroups(row, workgroups.div_ceil(row), 1);
         }

@@ -6,14 +6,14 @@
 
 @group(2) @binding(0) var<storage, read_write> pixels: array<atomic<u64>>;
 
-@compute @workgroup_size(WORKGROUP_SIZE)
+@compute @workgroup_size(128)
 fn draw_bare(
     @builtin(workgroup_id) workgroup: vec3<u32>,
     @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
     let node = nodes[0];
-    let point = (workgroup.y * workgroups.x + workgroup.x) * WORKGROUP_SIZE + lane;
+    let point = (workgroup.y * workgroups.x + workgroup.x) * 128u + lane;
     if point >= node.drawn_count {
         return;
     }

@@ -10,10 +10,9 @@ struct Vertex {
     @location(0) @interpolate(flat, either) color: u32,
 }
 
-fn vertex_at(pixel: vec2<f32>, splat: Splat, color: u32) -> Vertex {
+fn vertex_at(pixel: vec2<f32>, distance: f32, color: u32) -> Vertex {
     let ndc = pixel / vec2<f32>(frame.target_px) * 2.0 - 1.0;
-    let depth = frame.near / splat.distance;
-    return Vertex(vec4<f32>(ndc.x, -ndc.y, depth, 1.0), color);
+    return Vertex(vec4<f32>(ndc.x, -ndc.y, frame.near / distance, 1.0), color);
 }
 
 // Outside of every clip plane: the primitive vanishes.
@@ -21,28 +20,42 @@ fn nowhere() -> Vertex {
     return Vertex(vec4<f32>(2.0, 2.0, 2.0, 1.0), 0u);
 }
 
+// Whether a point at that distance is seen at all; beyond these margins no splat reaches in.
+fn is_seen(center: vec2<f32>, distance: f32) -> bool {
+    let reach = vec2<f32>(0.5 * frame.max_splat_px + 1.0);
+    // Written so that NaN fails too.
+    return distance >= frame.near && all(center > -reach)
+        && all(center < vec2<f32>(frame.target_px) + reach);
+}
+
 @vertex
 fn pixel_vertex(@builtin(vertex_index) point: u32, @builtin(instance_index) slot: u32) -> Vertex {
     let node = nodes[slot];
-    let splat = splat_of(slot, node, point);
-    if splat.size_px == 0 {
+    let screen = screen_of(eye_relative(node, local_cell(node, point)));
+    let center = screen.xy * (1.0 / screen.z) + frame.center_px;
+    if !is_seen(center, screen.z) {
         return nowhere();
     }
-    return vertex_at(vec2<f32>(splat.corner) + 0.5, splat, words[node.colors_at + point]);
+    let middle = vec2<f32>(splat_corner(center, 1.0)) + 0.5;
+    return vertex_at(middle, screen.z, words[node.colors_at + point]);
 }
 
 @vertex
 fn square_vertex(@builtin(vertex_index) vertex: u32, @builtin(instance_index) slot: u32) -> Vertex {
     let point = vertex / 6u;
     let node = nodes[slot];
-    let splat = splat_of(slot, node, point);
-    if splat.size_px == 0 {
+    let cell = local_cell(node, point);
+    let screen = screen_of(eye_relative(node, cell));
+    let center = screen.xy * (1.0 / screen.z) + frame.center_px;
+    if !is_seen(center, screen.z) {
         return nowhere();
     }
+    let size = splat_px(slot, node, cell, screen.z);
     // Corners 0 1 2, 2 1 3 of the square: bit 0 is right, bit 1 is down.
     let corner = array<u32, 6>(0u, 1u, 2u, 2u, 1u, 3u)[vertex % 6u];
-    let offset = vec2<i32>(i32(corner & 1u), i32(corner >> 1u)) * splat.size_px;
-    return vertex_at(vec2<f32>(splat.corner + offset), splat, words[node.colors_at + point]);
+    let offset = vec2<f32>(f32(corner & 1u), f32(corner >> 1u)) * size;
+    let pixel = vec2<f32>(splat_corner(center, size)) + offset;
+    return vertex_at(pixel, screen.z, words[node.colors_at + point]);
 }
 
 @fragment

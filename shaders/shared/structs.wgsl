@@ -21,11 +21,12 @@ struct GpuNode {
     splat_px_m: f32,
     local_bits: u32,
     drawn_count: u32,
-    drawn_child_mask: u32,
-    first_child_slot: u32,
+    drawn_children: u32,
+    drawn_levels_below: u32,
 }
 
 struct GpuBatch {
     node_slot: u32,
     first_point: u32,
+    end_point: u32,
 }

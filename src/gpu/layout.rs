@@ -7,9 +7,7 @@
 use bytemuck::{Pod, Zeroable};
 
 /// Threads of one workgroup of the point pass.
-pub const WORKGROUP_SIZE: u32 = 128;
-/// Leading points of one node that one workgroup draws.
-pub const BATCH_POINTS: u32 = 2048;
+pub const WORKGROUP_SIZE: u32 = 64;
 /// Most bits per axis whose Morton code fits two words; nodes with more hold three coordinates.
 pub const NARROW_BITS: u32 = 21;
 
@@ -100,20 +98,23 @@ gpu_struct! {
         local_bits: u32,
         /// Leading points that are drawn.
         drawn_count: u32,
-        /// Bit `o` is set if the child in octant `o` is drawn.
-        drawn_child_mask: u32,
-        /// Slot of the first drawn child.
-        first_child_slot: u32,
+        /// The lowest 8 bits: bit `o` is set if the child in octant `o` is drawn. Above them: slot
+        /// of the first drawn child.
+        drawn_children: u32,
+        /// Most steps down from here to a drawn node that has no drawn child.
+        drawn_levels_below: u32,
     }
 }
 
 gpu_struct! {
-    /// What one workgroup draws: [`BATCH_POINTS`] points of a node, fewer at its end.
-    GpuBatch, 8 {
+    /// What one workgroup draws: successive points of a node.
+    GpuBatch, 12 {
         /// Slot of the node.
         node_slot: u32,
         /// First point.
         first_point: u32,
+        /// One past the last point.
+        end_point: u32,
     }
 }
 
@@ -122,11 +123,7 @@ pub const STRUCTS: &[StructLayout] = &[GpuFrame::LAYOUT, GpuNode::LAYOUT, GpuBat
 
 /// WGSL text that declares the shared constants; every shader starts with it.
 pub fn prelude() -> String {
-    [
-        ("WORKGROUP_SIZE", WORKGROUP_SIZE),
-        ("BATCH_POINTS", BATCH_POINTS),
-        ("NARROW_BITS", NARROW_BITS),
-    ]
-    .map(|(name, value)| format!("const {name}: u32 = {value}u;\n"))
-    .concat()
+    [("WORKGROUP_SIZE", WORKGROUP_SIZE), ("NARROW_BITS", NARROW_BITS)]
+        .map(|(name, value)| format!("const {name}: u32 = {value}u;\n"))
+        .concat()
 }

@@ -8,7 +8,7 @@
 use std::ops::Range;
 
 use crate::geometry::View;
-use crate::gpu::layout::{BATCH_POINTS, GpuBatch, GpuNode};
+use crate::gpu::layout::{GpuBatch, GpuNode, NARROW_BITS};
 use crate::ids::NodeId;
 use crate::octree::Octree;
 use crate::select::{Cut, SplatSettings};
@@ -63,13 +63,24 @@ pub struct DrawTable {
     pub points: u64,
 }
 
+/// What all nodes of a batch group have in common, so that one pipeline draws them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct BatchKind {
+    /// Buffer of the words.
+    pub shard: usize,
+    /// Whether the nodes hold three coordinates per point, else Morton codes.
+    pub wide: bool,
+    /// Whether no splat of the nodes exceeds one pixel.
+    pub single_pixels: bool,
+}
+
 /// Workgroup-sized pieces of the draws.
 #[derive(Debug, Default)]
 pub struct Batches {
-    /// All pieces, with gaps between shards.
+    /// All pieces, with gaps between groups.
     pub list: Vec<GpuBatch>,
-    /// The pieces of each shard that has any.
-    pub by_shard: Vec<(usize, Range<usize>)>,
+    /// The pieces of each kind that has any.
+    pub groups: Vec<(BatchKind, Range<usize>)>,
 }
 
 impl DrawTable {
@@ -83,23 +94,35 @@ impl DrawTable {
         self.points = self.draws.iter().map(|draw| u64::from(draw.count)).sum();
     }
 
-    /// Cuts the draws into batches, shard by shard; each shard's start is a multiple of `align`.
-    pub fn batches(&self, align: usize, batches: &mut Batches) {
+    /// Cuts the draws into batches of at most `batch_points`, kind by kind; the start of each kind
+    /// is a multiple of `align`.
+    pub fn batches(&self, batch_points: u32, align: usize, batches: &mut Batches) {
         batches.list.clear();
-        batches.by_shard.clear();
-        let mut shards: Vec<usize> = self.draws.iter().map(|draw| draw.shard).collect();
-        shards.sort_unstable();
-        shards.dedup();
-        for shard in shards {
+        batches.groups.clear();
+        let mut kinds: Vec<BatchKind> = self.draws.iter().map(|draw| self.kind(draw)).collect();
+        kinds.sort_unstable();
+        kinds.dedup();
+        for kind in kinds {
             let start = batches.list.len().next_multiple_of(align);
-            batches.list.resize(start, GpuBatch { node_slot: 0, first_point: 0 });
-            for draw in self.draws.iter().filter(|draw| draw.shard == shard) {
-                let pieces = (0..draw.count).step_by(BATCH_POINTS as usize);
-                batches.list.extend(
-                    pieces.map(|first_point| GpuBatch { node_slot: draw.slot, first_point }),
-                );
+            batches.list.resize(start, GpuBatch { node_slot: 0, first_point: 0, end_point: 0 });
+            for draw in self.draws.iter().filter(|draw| self.kind(draw) == kind) {
+                let starts = (0..draw.count).step_by(batch_points as usize);
+                batches.list.extend(starts.map(|first_point| GpuBatch {
+                    node_slot: draw.slot,
+                    first_point,
+                    end_point: draw.count.min(first_point.saturating_add(batch_points)),
+                }));
             }
-            batches.by_shard.push((shard, start..batches.list.len()));
+            batches.groups.push((kind, start..batches.list.len()));
+        }
+    }
+
+    /// What one pipeline must know to draw a node.
+    pub fn kind(&self, draw: &DrawnNode) -> BatchKind {
+        BatchKind {
+            shard: draw.shard,
+            wide: self.nodes[draw.slot as usize].local_bits > NARROW_BITS,
+            single_pixels: draw.single_pixels,
         }
     }
 
@@ -131,14 +154,23 @@ impl DrawTable {
                 splat_px_m: splat_px_m as f32,
                 local_bits: octree.local_bits(row.node),
                 drawn_count: drawn.count,
-                drawn_child_mask: u32::from(row.child_drawn_mask),
-                first_child_slot: base + row.first_drawn_child,
+                drawn_children: (base + row.first_drawn_child) << 8
+                    | u32::from(row.child_drawn_mask),
+                drawn_levels_below: 0,
             });
             let draw = &mut self.draws[first_draw + row.draw as usize];
             draw.slot = slot;
             draw.shard = place.shard;
             // A hair of margin, because the GPU compares in f32.
             draw.single_pixels = splat_px_m <= 0.9999 * nearest_depth(octree, row.node, view);
+        }
+        // Children stand after their parents, so going backwards finds them done.
+        for (i, row) in cloud.cut.table.iter().enumerate().rev() {
+            let first = base + row.first_drawn_child;
+            let children = first..first + row.child_drawn_mask.count_ones();
+            let below = |child| self.nodes[child as usize].drawn_levels_below + 1;
+            self.nodes[base as usize + i].drawn_levels_below =
+                children.map(below).max().unwrap_or(0);
         }
     }
 }

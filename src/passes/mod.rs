@@ -19,7 +19,7 @@ mod points_raster;
 #[cfg(feature = "gpu")]
 mod targets;
 
-pub use draw_table::{Batches, CloudDraw, DrawTable, DrawnNode, NodePlace};
+pub use draw_table::{BatchKind, Batches, CloudDraw, DrawTable, DrawnNode, NodePlace};
 pub use picture::{Picture, Tile};
 pub use points_cpu::{NodeWords, PointsCpu};
 pub use reference::reference_picture;

@@ -1,7 +1,7 @@
 //! Points drawn by compute shaders with 64-bit atomic maximum, and their resolve into textures.
 //!
-//! One dispatch per shard of words, whatever the number of nodes: a batch table tells each
-//! workgroup its node and points. Shaders: `points_compute.wgsl`, `resolve.wgsl`. Twin:
+//! One dispatch per shard of words and kind of node, whatever the number of nodes: a batch table
+//! tells each workgroup its node and points. Shaders: `points_compute.wgsl`, `resolve.wgsl`. Twin:
 //! [`PointsCpu`](crate::passes::PointsCpu).
 
 use std::num::NonZeroU64;
@@ -14,7 +14,9 @@ use crate::passes::{Batches, DrawCounts, DrawTable, Targets};
 /// The pass, its pipelines and its tables.
 #[derive(Debug)]
 pub struct PointsCompute {
-    points: wgpu::ComputePipeline,
+    /// By [`variant`] of the kind of batch.
+    points: [wgpu::ComputePipeline; 4],
+    batch_points: u32,
     resolve: wgpu::RenderPipeline,
     frame_layout: wgpu::BindGroupLayout,
     scene_layout: wgpu::BindGroupLayout,
@@ -28,6 +30,13 @@ pub struct PointsCompute {
     target_px: [u32; 2],
 }
 
+/// Points of a workgroup on a GPU: enough to spread the look-up of the node, few enough to fill all
+/// cores.
+const BATCH_POINTS: u32 = 1024;
+/// Points of a workgroup on a software adapter, which has few cores and pays more per workgroup.
+const SOFTWARE_BATCH_POINTS: u32 = 4096;
+/// The pipelines: whether nodes are wide, whether all splats are single pixels.
+const KINDS: [(bool, bool); 4] = [(false, false), (false, true), (true, false), (true, true)];
 const BATCH_BYTES: u64 = size_of::<GpuBatch>() as u64;
 
 impl PointsCompute {
@@ -48,11 +57,14 @@ impl PointsCompute {
             let scene_layout = layout(gpu, "nodes, words, batches", &[(compute, read_only); 3]);
             let draw_pixels_layout = layout(gpu, "pixels, drawn", &[(compute, read_write)]);
             let resolve_pixels_layout = layout(gpu, "pixels, resolved", &[(fragment, read_only)]);
-            let points = compute_pipeline(
-                gpu,
-                &points_shader,
-                &[Some(&frame_layout), Some(&scene_layout), Some(&draw_pixels_layout)],
-            );
+            let draw_groups = [Some(&frame_layout), Some(&scene_layout), Some(&draw_pixels_layout)];
+            let points = KINDS.map(|(wide, single_pixels)| {
+                compute_pipeline(gpu, &points_shader, &draw_groups, wide, single_pixels)
+            });
+            let batch_points = match gpu.is_software() {
+                true => SOFTWARE_BATCH_POINTS,
+                false => BATCH_POINTS,
+            };
             let resolve = resolve_pipeline(
                 gpu,
                 &resolve_shader,
@@ -61,6 +73,7 @@ impl PointsCompute {
             let storage = wgpu::BufferUsages::STORAGE;
             PointsCompute {
                 points,
+                batch_points,
                 resolve,
                 frame_layout,
                 scene_layout,
@@ -100,7 +113,9 @@ impl PointsCompute {
             return Ok(DrawCounts::default());
         }
         let alignment = u64::from(gpu.device().limits().min_storage_buffer_offset_alignment);
-        table.batches((alignment / BATCH_BYTES).max(1) as usize, &mut self.batch_list);
+        // Batches have a multiple of 4 bytes.
+        let align = (alignment / 4).max(1) as usize;
+        table.batches(self.batch_points, align, &mut self.batch_list);
         let uploaded_bytes = (size_of::<GpuFrame>()
             + size_of_val(&table.nodes[..])
             + size_of_val(&self.batch_list.list[..])) as u64;
@@ -121,10 +136,9 @@ impl PointsCompute {
                 label: Some("points"),
                 timestamp_writes: timer.compute_pass("points"),
             });
-            pass.set_pipeline(&self.points);
             pass.set_bind_group(0, &frame_group, &[]);
             pass.set_bind_group(2, &draw_pixels, &[]);
-            for (shard, range) in &self.batch_list.by_shard {
+            for (kind, range) in &self.batch_list.groups {
                 let first_byte = range.start as u64 * BATCH_BYTES;
                 let bytes = range.len() as u64 * BATCH_BYTES;
                 let scene = bind(
@@ -132,10 +146,11 @@ impl PointsCompute {
                     &self.scene_layout,
                     &[
                         part(nodes, 0, size_of_val(&table.nodes[..]) as u64),
-                        whole(arena.buffer(*shard)),
+                        whole(arena.buffer(kind.shard)),
                         part(batches, first_byte, bytes),
                     ],
                 );
+                pass.set_pipeline(&self.points[variant(kind.wide, kind.single_pixels)]);
                 pass.set_bind_group(1, &scene, &[]);
                 let row = (range.len() as u32).min(MAX_WORKGROUPS_PER_ROW);
                 pass.dispatch_workgroups(row, (range.len() as u32).div_ceil(row), 1);
@@ -155,7 +170,7 @@ impl PointsCompute {
         pass.draw(0..3, 0..1);
         drop(pass);
         Ok(DrawCounts {
-            dispatches: self.batch_list.by_shard.len() as u32,
+            dispatches: self.batch_list.groups.len() as u32,
             draw_calls: 1,
             uploaded_bytes,
         })
@@ -190,6 +205,11 @@ impl PointsCompute {
 
 /// Within the limit that every adapter grants.
 const MAX_WORKGROUPS_PER_ROW: u32 = 32_768;
+
+/// Index in [`KINDS`].
+fn variant(wide: bool, single_pixels: bool) -> usize {
+    2 * usize::from(wide) + usize::from(single_pixels)
+}
 
 /// A layout of buffers, bound in order.
 pub(super) fn layout(
@@ -246,6 +266,8 @@ fn compute_pipeline(
     gpu: &Gpu,
     shader: &wgpu::ShaderModule,
     groups: &[Option<&wgpu::BindGroupLayout>],
+    wide: bool,
+    single_pixels: bool,
 ) -> wgpu::ComputePipeline {
     let layout = gpu.device().create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
         label: Some("points"),
@@ -257,7 +279,13 @@ fn compute_pipeline(
         layout: Some(&layout),
         module: shader,
         entry_point: Some("draw_points"),
-        compilation_options: Default::default(),
+        compilation_options: wgpu::PipelineCompilationOptions {
+            constants: &[
+                ("WIDE_NODES", f64::from(wide)),
+                ("SINGLE_PIXELS", f64::from(single_pixels)),
+            ],
+            ..Default::default()
+        },
         cache: None,
     })
 }

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::prelude::*;
 
-use crate::gpu::layout::{BATCH_POINTS, GpuBatch, GpuFrame};
+use crate::gpu::layout::{GpuBatch, GpuFrame};
 use crate::passes::splat::{local_cell, splat_of};
 use crate::passes::{Batches, DrawTable, Picture};
 
@@ -20,6 +20,9 @@ pub struct NodeWords<'a> {
     /// One RGBA8 word per point.
     pub colors: &'a [u32],
 }
+
+/// Points that a core draws at a time.
+const BATCH_POINTS: u32 = 4096;
 
 /// The pass and its pixels, kept from frame to frame.
 #[derive(Debug, Default)]
@@ -36,7 +39,7 @@ impl PointsCpu {
         let count = frame.target_px[0] as usize * frame.target_px[1] as usize;
         self.pixels.clear();
         self.pixels.resize_with(count, AtomicU64::default);
-        table.batches(1, &mut self.batches);
+        table.batches(BATCH_POINTS, 1, &mut self.batches);
         let pixels = &self.pixels[..];
         self.batches
             .list
@@ -74,9 +77,8 @@ fn draw_batch(
     let slot = batch.node_slot as usize;
     let node = &table.nodes[slot];
     let NodeWords { positions, colors } = words[slot];
-    let end = (batch.first_point + BATCH_POINTS).min(node.drawn_count);
     let [width, height] = frame.target_px.map(|side| side as i32);
-    for point in batch.first_point as usize..end as usize {
+    for point in batch.first_point as usize..batch.end_point as usize {
         let cell = local_cell(node, positions, point);
         let Some(splat) = splat_of(frame, &table.nodes, slot, cell) else { continue };
         let nearness = !splat.distance.to_bits();

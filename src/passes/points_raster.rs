@@ -13,8 +13,10 @@ use crate::passes::{DrawCounts, DrawTable, Targets};
 /// The pass, its pipelines and its tables.
 #[derive(Debug)]
 pub struct PointsRaster {
-    pixels: wgpu::RenderPipeline,
-    squares: wgpu::RenderPipeline,
+    /// Narrow, wide.
+    pixels: [wgpu::RenderPipeline; 2],
+    /// Narrow, wide.
+    squares: [wgpu::RenderPipeline; 2],
     frame_layout: wgpu::BindGroupLayout,
     scene_layout: wgpu::BindGroupLayout,
     frame: GrowingBuffer,
@@ -44,8 +46,11 @@ impl PointsRaster {
             let point_list = wgpu::PrimitiveTopology::PointList;
             let triangle_list = wgpu::PrimitiveTopology::TriangleList;
             PointsRaster {
-                pixels: pipeline(gpu, &groups, &shader, "pixel_vertex", point_list),
-                squares: pipeline(gpu, &groups, &shader, "square_vertex", triangle_list),
+                pixels: [false, true]
+                    .map(|wide| pipeline(gpu, &groups, &shader, "pixel_vertex", point_list, wide)),
+                squares: [false, true].map(|wide| {
+                    pipeline(gpu, &groups, &shader, "square_vertex", triangle_list, wide)
+                }),
                 frame_layout,
                 scene_layout,
                 frame: GrowingBuffer::new("frame", wgpu::BufferUsages::UNIFORM),
@@ -92,11 +97,12 @@ impl PointsRaster {
         for draw in &table.draws {
             pass.set_bind_group(1, &scenes[draw.shard], &[]);
             let instances = draw.slot..draw.slot + 1;
+            let wide = usize::from(table.kind(draw).wide);
             if draw.single_pixels {
-                pass.set_pipeline(&self.pixels);
+                pass.set_pipeline(&self.pixels[wide]);
                 pass.draw(0..draw.count, instances);
             } else {
-                pass.set_pipeline(&self.squares);
+                pass.set_pipeline(&self.squares[wide]);
                 pass.draw(0..SQUARE_VERTICES * draw.count, instances);
             }
         }
@@ -120,6 +126,7 @@ fn pipeline(
     shader: &wgpu::ShaderModule,
     vertex_entry: &str,
     topology: wgpu::PrimitiveTopology,
+    wide: bool,
 ) -> wgpu::RenderPipeline {
     gpu.device().create_render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some(vertex_entry),
@@ -127,7 +134,10 @@ fn pipeline(
         vertex: wgpu::VertexState {
             module: shader,
             entry_point: Some(vertex_entry),
-            compilation_options: Default::default(),
+            compilation_options: wgpu::PipelineCompilationOptions {
+                constants: &[("WIDE_NODES", f64::from(wide))],
+                ..Default::default()
+            },
             buffers: &[],
         },
         primitive: wgpu::PrimitiveState { topology, ..Default::default() },

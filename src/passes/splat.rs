@@ -77,26 +77,39 @@ pub fn screen_of(frame: &GpuFrame, p: [f32; 3]) -> [f32; 3] {
 pub fn finest_splat_px_m(nodes: &[GpuNode], slot: usize, cell: [u32; 3]) -> f32 {
     let mut deepest = slot;
     let mut bit = nodes[slot].local_bits;
-    loop {
-        let mask = nodes[deepest].drawn_child_mask;
-        if mask == 0 || bit == 0 {
-            break;
-        }
+    for _ in 0..nodes[slot].drawn_levels_below {
+        let children = nodes[deepest].drawn_children;
         bit -= 1;
         let octant = cell[0] >> bit & 1 | (cell[1] >> bit & 1) << 1 | (cell[2] >> bit & 1) << 2;
-        if mask >> octant & 1 == 0 {
+        if children >> octant & 1 == 0 {
             break;
         }
-        let earlier = mask & ((1 << octant) - 1);
-        deepest = (nodes[deepest].first_child_slot + earlier.count_ones()) as usize;
+        let earlier = children & ((1 << octant) - 1);
+        deepest = ((children >> 8) + earlier.count_ones()) as usize;
     }
     nodes[deepest].splat_px_m
 }
 
-/// Middle of a point in the target and its distance; `None` if it cannot be seen.
+/// Side of a point's splat at distance `w`, whole pixels.
 #[inline]
-pub fn project(frame: &GpuFrame, node: &GpuNode, cell: [u32; 3]) -> Option<([f32; 2], f32)> {
-    let [xw, yw, w] = screen_of(frame, eye_relative(node, cell));
+pub fn splat_px(frame: &GpuFrame, nodes: &[GpuNode], slot: usize, cell: [u32; 3], w: f32) -> f32 {
+    let splat_px_m = nodes[slot].splat_px_m;
+    // A node's size bounds the sizes below it: nothing to look up for splats of one pixel.
+    if splat_px_m <= w {
+        return 1.0;
+    }
+    let px_m = match frame.per_point_splats {
+        0 => splat_px_m,
+        _ => finest_splat_px_m(nodes, slot, cell),
+    };
+    (px_m / w).clamp(1.0, frame.max_splat_px).ceil()
+}
+
+/// The square of a point: centred on it, its side rounded up to whole pixels. `None` if it lies
+/// before the near plane or outside of the target.
+#[inline]
+pub fn splat_of(frame: &GpuFrame, nodes: &[GpuNode], slot: usize, cell: [u32; 3]) -> Option<Splat> {
+    let [xw, yw, w] = screen_of(frame, eye_relative(&nodes[slot], cell));
     let inverse = 1.0 / w;
     let center = [xw * inverse + frame.center_px[0], yw * inverse + frame.center_px[1]];
     let margin = 0.5 * frame.max_splat_px + 1.0;
@@ -104,23 +117,10 @@ pub fn project(frame: &GpuFrame, node: &GpuNode, cell: [u32; 3]) -> Option<([f32
     let inside = |axis: usize| {
         center[axis] > -margin && center[axis] < frame.target_px[axis] as f32 + margin
     };
-    (w >= frame.near && inside(0) && inside(1)).then_some((center, w))
-}
-
-/// The square of a point: centred on it, its side rounded up to whole pixels.
-#[inline]
-pub fn splat_of(frame: &GpuFrame, nodes: &[GpuNode], slot: usize, cell: [u32; 3]) -> Option<Splat> {
-    let node = &nodes[slot];
-    let (center, w) = project(frame, node, cell)?;
-    let mut size = 1.0;
-    // A parent's size bounds the size of what lies below it: no look-up for splats of one pixel.
-    if node.splat_px_m > w {
-        let px_m = match frame.per_point_splats {
-            0 => node.splat_px_m,
-            _ => finest_splat_px_m(nodes, slot, cell),
-        };
-        size = (px_m / w).clamp(1.0, frame.max_splat_px).ceil();
+    if !(w >= frame.near && inside(0) && inside(1)) {
+        return None;
     }
+    let size = splat_px(frame, nodes, slot, cell, w);
     let corner = center.map(|c| (c - (0.5 * size - 0.5)).floor() as i32);
     Some(Splat { corner, size_px: size as i32, distance: w })
 }

@@ -91,9 +91,13 @@ struct FirstPass {
     spooled: Option<(SpillFile, StreamId)>,
 }
 
-/// Part of the memory cap for points and what is done to them; the rest is for buffers, the
-/// program itself and what the allocator keeps.
-const POINT_SHARE: f64 = 0.62;
+/// Memory for the program itself and for blocks being read, whatever the cap.
+const FIXED_BYTES: u64 = 40 << 20;
+/// Part of the memory cap for points and what is done to them; what the shares leave is for what
+/// the allocator keeps.
+const POINT_SHARE: f64 = 0.66;
+/// Part of the memory cap for the counting grid.
+const GRID_SHARE: f64 = 0.08;
 /// Part of the memory cap for encoded nodes that wait to be written.
 const NODE_SHARE: f64 = 0.10;
 /// Part of the memory cap for tails of spilled streams.
@@ -180,8 +184,10 @@ impl Conversion<'_> {
         })
     }
 
+    /// Part of what the memory cap leaves for the points.
     fn share(&self, part: f64) -> u64 {
-        (self.options.memory_bytes as f64 * part) as u64
+        let cap = self.options.memory_bytes;
+        (cap.saturating_sub(FIXED_BYTES).max(cap / 4) as f64 * part) as u64
     }
 
     fn temp_dir(&self) -> PathBuf {
@@ -316,14 +322,21 @@ impl Conversion<'_> {
         let max_points = (self.share(POINT_SHARE) / point_bytes).min(u64::from(u32::MAX) / 2);
         let least = least_region_points(rules.levels, rules.threshold);
         if max_points < least {
-            let needed = (least as f64 * point_bytes as f64 / POINT_SHARE) as u64 + 1;
+            let needed = (least as f64 * point_bytes as f64 / POINT_SHARE) as u64 + FIXED_BYTES + 1;
             return Err(BuildError::MemoryCap { cap: self.options.memory_bytes, needed });
         }
         let streams = 8 * (survey.points / max_points + 1);
         let tail = (self.share(TAIL_SHARE) / streams).clamp(4 << 10, 1 << 20) as usize;
         let mut spill = SpillFile::new(&self.temp_dir(), tail);
-        let builder =
-            OutOfCore { rules, schema: sources.schema(), max_points, sink, overflow, progress };
+        let builder = OutOfCore {
+            rules,
+            schema: sources.schema(),
+            max_points,
+            grid_bytes: self.share(GRID_SHARE),
+            sink,
+            overflow,
+            progress,
+        };
         let schema = sources.schema();
         let mut written = 0;
         if let Some((mut spool, stream)) = spooled {

@@ -124,6 +124,8 @@ pub struct OutOfCore<'a> {
     pub schema: &'a Schema,
     /// Most points to hold at once.
     pub max_points: u64,
+    /// Most memory for the counting grid.
+    pub grid_bytes: u64,
     /// Where nodes go.
     pub sink: NodeSink<'a>,
     /// Counts points beyond one per finest cell.
@@ -146,10 +148,12 @@ impl OutOfCore<'_> {
         source: &mut dyn RowSource,
         spill: &mut SpillFile,
     ) -> Result<(), BuildError> {
-        let grid_levels = GRID_LEVELS.min(self.rules.levels).min(self.rules.max_depth() - depth);
+        let most = GRID_LEVELS.min(self.rules.levels).min(self.rules.max_depth() - depth);
+        // A count and a region per cell, and the sums above them: about 24 bytes.
+        let fits = |levels: &u32| 24u64 << (3 * levels) <= self.grid_bytes;
+        let grid_levels = (1..=most).rev().find(fits).unwrap_or(most.min(1));
         let counts = self.count::<K>(depth, grid_levels, source, spill)?;
-        let regions = plan_regions(depth, grid_levels, &counts, self.max_points);
-        drop(counts);
+        let regions = plan_regions(depth, grid_levels, counts, self.max_points);
         let streams = self.partition::<K>(depth, grid_levels, &regions, source, spill)?;
         let mut open: Vec<OpenNode<K>> = Vec::new();
         for (region, stream) in regions.iter().zip(streams) {
@@ -222,7 +226,7 @@ impl OutOfCore<'_> {
             region_of_cell[region.first_cell..region.first_cell + cells].fill(i as u32);
         }
         source.for_each_group(spill, &mut |spill, batches| {
-            let routed: Vec<Vec<(u32, Vec<u8>)>> = batches
+            let routed: Vec<RoutedRows> = batches
                 .par_iter()
                 .map(|batch| {
                     let region = |key: K| region_of_cell[self.grid_cell(key, depth, grid_levels)];
@@ -231,9 +235,9 @@ impl OutOfCore<'_> {
                     route
                 })
                 .collect();
-            for (region, rows) in routed.iter().flatten() {
+            for (region, rows) in routed.iter().flat_map(RoutedRows::parts) {
                 // Only a file that changed since it was counted can have points elsewhere.
-                let stream = streams.get(*region as usize).ok_or(BuildError::Changed)?;
+                let stream = streams.get(region as usize).ok_or(BuildError::Changed)?;
                 spill.append(*stream, rows)?;
             }
             Ok(())
@@ -378,34 +382,49 @@ impl OutOfCore<'_> {
     }
 }
 
+/// A batch's rows sorted by region: all bytes, and where each region's end.
+struct RoutedRows {
+    bytes: Vec<u8>,
+    /// Region and one past its last byte, in the order of `bytes`.
+    ends: Vec<(u32, usize)>,
+}
+
+impl RoutedRows {
+    /// Each region with its rows.
+    fn parts(&self) -> impl Iterator<Item = (u32, &[u8])> {
+        let starts = std::iter::once(0).chain(self.ends.iter().map(|(_, end)| *end));
+        self.ends
+            .iter()
+            .zip(starts)
+            .map(|(&(region, end), start)| (region, &self.bytes[start..end]))
+    }
+}
+
 /// Sorts a batch's rows by region, each with its input index before it and its coordinates
 /// replaced by those within the root cube.
 fn route_rows<K: MortonKey>(
     batch: &RowBatch,
     schema: &Schema,
     region: impl Fn(K) -> u32,
-) -> Vec<(u32, Vec<u8>)> {
+) -> RoutedRows {
     let row_bytes = INDEX_BYTES + schema.record_bytes as usize;
-    let mut parts: Vec<(u32, Vec<u8>)> = Vec::new();
-    let mut part_of_region = std::collections::HashMap::new();
-    let mut last = (u32::MAX, 0usize);
-    for row in 0..batch.rows.len() as u32 {
-        let target = region(batch.key(row));
-        if target != last.0 || parts.is_empty() {
-            let part = *part_of_region.entry(target).or_insert_with(|| {
-                parts.push((target, Vec::with_capacity(256 * row_bytes)));
-                parts.len() - 1
-            });
-            last = (target, part);
+    let mut order: Vec<(u32, u32)> =
+        (0..batch.rows.len() as u32).map(|row| (region(batch.key(row)), row)).collect();
+    // Scanners write neighbours together, so this mostly finds what is sorted already.
+    order.sort();
+    let mut bytes = Vec::with_capacity(order.len() * row_bytes);
+    let mut ends = Vec::new();
+    for rows in order.chunk_by(|a, b| a.0 == b.0) {
+        for &(_, row) in rows {
+            bytes.extend_from_slice(&batch.rows.input_index(row).to_le_bytes());
+            for coordinate in batch.root_coordinates(row) {
+                bytes.extend_from_slice(&coordinate.to_le_bytes());
+            }
+            bytes.extend_from_slice(&batch.rows.record(row)[COORDINATE_BYTES..]);
         }
-        let bytes = &mut parts[last.1].1;
-        bytes.extend_from_slice(&batch.rows.input_index(row).to_le_bytes());
-        for coordinate in batch.root_coordinates(row) {
-            bytes.extend_from_slice(&coordinate.to_le_bytes());
-        }
-        bytes.extend_from_slice(&batch.rows.record(row)[COORDINATE_BYTES..]);
+        ends.push((rows[0].0, bytes.len()));
     }
-    parts
+    RoutedRows { bytes, ends }
 }
 
 /// Moves the first arrival of each cell from `entries` (sorted by key, row) to a node's stream and
@@ -454,9 +473,9 @@ fn append_taken<K: MortonKey>(
 }
 
 /// Cuts the grid into regions of at most `max_points`, or single cells, in Morton order.
-fn plan_regions(depth: u32, grid_levels: u32, counts: &[u64], max_points: u64) -> Vec<Region> {
+fn plan_regions(depth: u32, grid_levels: u32, counts: Vec<u64>, max_points: u64) -> Vec<Region> {
     // sums[l] holds the points of each cell l levels above the finest.
-    let mut sums = vec![counts.to_vec()];
+    let mut sums = vec![counts];
     for level in 0..grid_levels as usize {
         sums.push(sums[level].chunks_exact(8).map(|cells| cells.iter().sum()).collect());
     }
@@ -488,7 +507,7 @@ mod tests {
             *count = [0, 3, 50, 0, 7][i % 5] * u64::from(i % 64 < 20);
         }
         counts[100] = 5000;
-        let regions = plan_regions(2, 3, &counts, 400);
+        let regions = plan_regions(2, 3, counts.clone(), 400);
         assert_eq!(regions.iter().map(|r| r.points).sum::<u64>(), counts.iter().sum::<u64>());
         assert!(regions.windows(2).all(|w| w[0].first_cell < w[1].first_cell));
         for region in &regions {
@@ -501,7 +520,7 @@ mod tests {
 
     #[test]
     fn everything_that_fits_is_one_region() {
-        let regions = plan_regions(3, 1, &[1, 0, 0, 9, 0, 0, 0, 2], 12);
+        let regions = plan_regions(3, 1, vec![1, 0, 0, 9, 0, 0, 0, 2], 12);
         assert_eq!(regions, [Region { depth: 3, first_cell: 0, points: 12 }]);
     }
 }

@@ -261,3 +261,19 @@ fn a_far_model_is_never_lost() {
         assert!(reference.covered() > 0 && picture.covered() > 0, "{times} edges away");
     }
 }
+
+/// One draw per node (asserted where pictures are drawn), few of them, with many points each.
+#[test]
+fn draws_are_few_and_large() {
+    let scan = scan();
+    let (mut points, mut draws) = (0, 0);
+    for view in path(scan, 200) {
+        let cut = select(scan, &view, &CutSettings::default());
+        assert!(cut.draw.len() < 1000, "{} draws", cut.draw.len());
+        assert_eq!(cut.counters.nodes_drawn as usize, cut.draw.len());
+        points += cut.counters.points_drawn;
+        draws += cut.draw.len() as u64;
+    }
+    println!("{} points per draw", points / draws);
+    assert!(points / draws > 1000);
+}

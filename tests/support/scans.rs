@@ -51,10 +51,14 @@ pub struct Scan {
 }
 
 impl Scan {
+    /// At coordinates as UTM gives them, in centimetres.
     pub fn new(points: Vec<InputPoint>, parameters: &Parameters) -> Self {
+        let offset = DVec3::new(4.0e5, 5.2e6, 100.0);
+        Scan::on_lattice(points, parameters, Lattice { scale: DVec3::splat(0.01), offset })
+    }
+
+    pub fn on_lattice(points: Vec<InputPoint>, parameters: &Parameters, lattice: Lattice) -> Self {
         let nodes = insert_all(&points, parameters);
-        let lattice =
-            Lattice { scale: DVec3::splat(0.01), offset: DVec3::new(4.0e5, 5.2e6, 100.0) };
         let octree =
             octree_of(&points, &nodes, parameters, lattice, I64Vec3::new(1000, -2000, 500));
         let mut scan = Scan { points, nodes, octree, words: Vec::new() };
@@ -68,6 +72,11 @@ impl Scan {
         let root = self.octree.root_cube().min;
         let position = self.points[point].position.map(i64::from);
         self.octree.lattice().world(root + I64Vec3::from_array(position))
+    }
+
+    /// Position words of a node.
+    pub fn positions(&self, node: NodeId) -> &[u32] {
+        &self.words[node.index()].0
     }
 
     fn words_of(&self, node: NodeId) -> (Vec<u32>, Vec<u32>) {

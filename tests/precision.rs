@@ -11,7 +11,7 @@ mod scans;
 
 use esker::geometry::{Camera, View};
 use esker::metrics::Displacement;
-use esker::passes::splat::{local_cell, project};
+use esker::passes::splat::{eye_relative, local_cell, screen_of};
 use esker::passes::{CloudDraw, DrawTable, NodePlace, Tile};
 use esker::points::Lattice;
 use esker::select::{AllResident, CutScratch, CutSettings, SplatSettings, select_nodes};
@@ -45,11 +45,13 @@ fn displacement(scan: &Scan, offset: DVec3, view_at_origin: &View) -> Displaceme
         let words = scan.positions(row.node);
         for (i, &point) in scan.nodes[row.node.index()].points.iter().enumerate() {
             let steps = root + DVec3::from_array(scan.points[point].position.map(f64::from));
-            let exact = view_at_origin.project(steps * MILLIMETRE);
-            let drawn = project(&frame, node, local_cell(node, words, i));
-            if let (Some((x, y, _)), Some((center, _))) = (exact, drawn) {
-                displacement.add((x, y), (f64::from(center[0]), f64::from(center[1])));
+            let Some((x, y, _)) = view_at_origin.project(steps * MILLIMETRE) else { continue };
+            if !(-10.0..1290.0).contains(&x) || !(-10.0..730.0).contains(&y) {
+                continue;
             }
+            let [xw, yw, w] = screen_of(&frame, eye_relative(node, local_cell(node, words, i)));
+            let drawn = [xw / w + frame.center_px[0], yw / w + frame.center_px[1]];
+            displacement.add((x, y), (f64::from(drawn[0]), f64::from(drawn[1])));
         }
     }
     displacement

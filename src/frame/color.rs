@@ -270,6 +270,15 @@ impl Ramp {
     }
 }
 
+/// Whether a mode shows the height of a cloud's points.
+pub fn shows_elevation(mode: &ColorMode, source: &dyn NodeSource) -> bool {
+    match mode {
+        ColorMode::Elevation => true,
+        ColorMode::Auto => !has_visible_rgb(source) && !varies(source, names::INTENSITY),
+        _ => false,
+    }
+}
+
 /// Heights between which the root's points lie, stray ones left out.
 pub fn elevation_range(source: &dyn NodeSource) -> Result<Option<(f64, f64)>, NodeReadError> {
     let octree = source.octree();

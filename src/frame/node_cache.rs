@@ -102,6 +102,18 @@ impl NodeCache {
         self.evicted
     }
 
+    /// Bytes that nodes could still take, if all that this frame does not use left.
+    pub fn room_bytes(&self) -> u64 {
+        let in_use = self.nodes.values().filter(|ready| ready.last_frame == self.frame);
+        let used_bytes: u64 = in_use.map(|ready| 4 * u64::from(ready.count)).sum();
+        let limit_bytes = match &self.storage {
+            Storage::Memory { limit_bytes } => *limit_bytes,
+            #[cfg(feature = "gpu")]
+            Storage::Device(arena) => arena.limit_bytes(),
+        };
+        limit_bytes.saturating_sub(used_bytes)
+    }
+
     /// Removes all nodes.
     pub fn clear(&mut self) {
         let all: Vec<_> = self.nodes.keys().copied().collect();

@@ -7,10 +7,11 @@ use std::time::Instant;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::frame::color::{Coloring, elevation_range};
+use crate::frame::color::{Coloring, elevation_range, shows_elevation};
 use crate::frame::node_cache::{NodeCache, SceneNode, Storage, Words};
 use crate::frame::{ColorMode, FrameStats, NodeSource, PassTime};
 use crate::geometry::{Aabb, View};
+use crate::gpu::layout::position_words;
 #[cfg(feature = "gpu")]
 use crate::gpu::{Gpu, GpuError, PassTimer, WordArena};
 use crate::ids::NodeId;
@@ -381,8 +382,8 @@ impl Renderer {
                 None
             })
         };
-        let needs_elevation = matches!(mode, ColorMode::Auto | ColorMode::Elevation);
-        let ranges = self.sources.iter().filter(|_| needs_elevation);
+        let shown = |source: &&Arc<dyn NodeSource>| shows_elevation(mode, source.as_ref());
+        let ranges = self.sources.iter().filter(shown);
         // One range for the whole scene, so that colours compare between clouds.
         let elevation = ranges
             .filter_map(|source| noted(elevation_range(source.as_ref())))
@@ -505,7 +506,21 @@ impl Renderer {
         without_room: &mut HashSet<SceneNode>,
     ) -> Result<(u64, usize), FrameError> {
         let (mut loaded_bytes, mut failed) = (0, 0);
-        let mut rest = wanted;
+        // What has no room is not even read.
+        let mut room_bytes = self.cache.room_bytes();
+        let mut fitting = Vec::with_capacity(wanted.len());
+        for &node in wanted {
+            match room_bytes.checked_sub(self.node_bytes(node)) {
+                Some(left_bytes) => {
+                    room_bytes = left_bytes;
+                    fitting.push(node);
+                }
+                None => {
+                    without_room.insert(node);
+                }
+            }
+        }
+        let mut rest = &fitting[..];
         while !rest.is_empty() && loaded_bytes < quota_bytes {
             let most_bytes = READ_AHEAD_BYTES.min(quota_bytes - loaded_bytes);
             let count = self.leading_nodes(rest, most_bytes);
@@ -537,12 +552,19 @@ impl Renderer {
 
     /// How many leading nodes have at most that many bytes together; at least one.
     fn leading_nodes(&self, nodes: &[SceneNode], most_bytes: u64) -> usize {
-        let mut sum = 0;
-        let fitting = nodes.iter().take_while(|&&(cloud, node)| {
-            sum += 16 * u64::from(self.sources[cloud].octree().node(node).point_count());
-            sum <= most_bytes
+        let mut sum_bytes = 0;
+        let fitting = nodes.iter().take_while(|&&node| {
+            sum_bytes += self.node_bytes(node);
+            sum_bytes <= most_bytes
         });
         fitting.count().max(1)
+    }
+
+    /// Bytes of a node's words.
+    fn node_bytes(&self, (cloud, node): SceneNode) -> u64 {
+        let octree = self.sources[cloud].octree();
+        let words = position_words(octree.local_bits(node)) + 1;
+        4 * u64::from(words) * u64::from(octree.node(node).point_count())
     }
 
     /// The words of a node, positions first, and how many are positions.

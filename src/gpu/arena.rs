@@ -83,6 +83,11 @@ impl WordArena {
         &self.shards[shard].buffer
     }
 
+    /// Most bytes that all buffers may have together.
+    pub fn limit_bytes(&self) -> u64 {
+        self.limit_bytes
+    }
+
     /// Bytes of all buffers.
     pub fn held_bytes(&self) -> u64 {
         self.shards.iter().map(|shard| shard.buffer.size()).sum()

@@ -17,7 +17,7 @@ use egui::{Event, Key, Modifiers, MouseWheelUnit, PointerButton, Pos2, RawInput,
 use esker::build::{ConvertOptions, Silent, convert};
 use esker::frame::Renderer;
 use esker::geometry::ViewPreset;
-use esker::viewer::{Canvas, Statistics, Viewer, ViewerOptions, first_settings};
+use esker::viewer::{Canvas, KeptIn, Statistics, Viewer, ViewerOptions, first_settings};
 use glam::DVec3;
 use las_file::{LasPoint, write_las};
 
@@ -267,12 +267,13 @@ fn a_dropped_scan_is_converted_beside_itself_once() {
     hand.settle();
     let shown = hand.statistics();
     assert_eq!((shown.points, shown.notices.len()), (22_500, 0), "{:?}", shown.notices);
+    assert_eq!(shown.stores, [KeptIn::Made(beside.clone())]);
     let made = fs::read(&beside).expect("the store is beside the scan");
-    // A mark that a second conversion would remove: an older time than now.
     let changed = fs::metadata(&beside).and_then(|facts| facts.modified()).expect("has a time");
     hand.drop_file(&path);
     hand.settle();
     assert_eq!(hand.statistics().points, 22_500, "the new scene takes the place of the old one");
+    assert_eq!(hand.statistics().stores, [KeptIn::Found(beside.clone())]);
     let again = fs::metadata(&beside).and_then(|facts| facts.modified()).expect("has a time");
     assert_eq!((changed, made), (again, fs::read(&beside).expect("still there")));
 }
@@ -287,6 +288,7 @@ fn a_store_of_another_scan_is_left_alone() {
     scan(&path, 100);
     fs::copy(&store, other.join("hill.esker")).expect("copies");
     let hand = Hand::looking_at(&path);
+    assert_eq!(hand.statistics().stores, [KeptIn::Temporary]);
     assert_eq!(hand.statistics().points, 10_000);
     assert_eq!(fs::read(other.join("hill.esker")).ok(), fs::read(&store).ok());
 }

@@ -176,6 +176,7 @@ impl Viewer {
             adapter: self.options.adapter.clone(),
             renderer: self.renderer.path().name(),
             files: self.files.iter().map(|file| file.path.clone()).collect(),
+            stores: self.files.iter().map(|file| file.kept_in.clone()).collect(),
             points: octrees().map(|octree| octree.point_count()).sum(),
             nodes: octrees().map(|octree| octree.nodes().len() as u64).sum(),
             frames_drawn: self.frames_drawn,

@@ -17,6 +17,7 @@ use std::thread::JoinHandle;
 
 use anyhow::Context;
 use crossbeam_channel::{Receiver, Sender};
+use serde::Serialize;
 use tempfile::TempDir;
 
 use crate::build::{self, ConvertOptions, Progress, Stage};
@@ -39,7 +40,8 @@ pub struct OpenedFile {
 }
 
 /// Where the store of an opened file is.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum KeptIn {
     /// The file is a store.
     Itself,

@@ -6,6 +6,7 @@ use anyhow::Context;
 use serde::Serialize;
 
 use crate::frame::FrameStats;
+use crate::viewer::opening::KeptIn;
 
 /// A snapshot of the window's counters.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -16,6 +17,8 @@ pub struct Statistics {
     pub renderer: &'static str,
     /// Files on view.
     pub files: Vec<PathBuf>,
+    /// Where the store of each is.
+    pub stores: Vec<KeptIn>,
     /// Points of these files.
     pub points: u64,
     /// Nodes of these files.

@@ -19,7 +19,8 @@ pub struct StreamId(usize);
 #[derive(Default)]
 struct Stream {
     tail: Vec<u8>,
-    blocks: Vec<(u64, u32)>,
+    /// Place and length in the file.
+    blocks: Vec<(u64, u64)>,
     bytes: u64,
 }
 
@@ -54,29 +55,35 @@ impl SpillFile {
     pub fn append(&mut self, stream: StreamId, bytes: &[u8]) -> Result<(), BuildError> {
         let target = &mut self.streams[stream.0];
         target.bytes += bytes.len() as u64;
-        target.tail.extend_from_slice(bytes);
-        if target.tail.len() < self.tail_bytes {
+        if target.tail.len() + bytes.len() < self.tail_bytes {
+            target.tail.extend_from_slice(bytes);
             return Ok(());
         }
-        let tail = std::mem::take(&mut target.tail);
-        self.write_blocks(stream, &tail).map_err(|source| self.error("cannot write", source))?;
-        // The memory goes on to serve this stream.
-        let target = &mut self.streams[stream.0];
-        target.tail = tail;
-        target.tail.clear();
+        // Written from where they are, so that a tail's memory never outgrows its limit.
+        let mut tail = std::mem::take(&mut target.tail);
+        let written =
+            self.write_block(stream, &tail).and_then(|()| self.write_block(stream, bytes));
+        written.map_err(|source| self.error("cannot write", source))?;
+        tail.clear();
+        self.streams[stream.0].tail = tail;
         Ok(())
     }
 
-    fn write_blocks(&mut self, stream: StreamId, bytes: &[u8]) -> io::Result<()> {
+    fn write_block(&mut self, stream: StreamId, bytes: &[u8]) -> io::Result<()> {
+        if bytes.is_empty() {
+            return Ok(());
+        }
         let file = match &mut self.file {
             Some(file) => file,
             empty => empty.insert(tempfile::tempfile_in(&self.folder)?),
         };
         file.seek(SeekFrom::Start(self.end))?;
         file.write_all(bytes)?;
-        for block in bytes.chunks(1 << 30) {
-            self.streams[stream.0].blocks.push((self.end, block.len() as u32));
-            self.end += block.len() as u64;
+        let (start, length) = (self.end, bytes.len() as u64);
+        self.end += length;
+        match self.streams[stream.0].blocks.last_mut() {
+            Some((at, bytes)) if *at + *bytes == start => *bytes += length,
+            _ => self.streams[stream.0].blocks.push((start, length)),
         }
         Ok(())
     }
@@ -94,15 +101,15 @@ impl SpillFile {
         let piece_bytes = piece_bytes.max(row_bytes);
         let mut piece = Vec::with_capacity(piece_bytes + row_bytes);
         for (mut at, bytes) in blocks {
-            let mut left = bytes as usize;
+            let mut left = bytes;
             while left > 0 {
-                let part = left.min(piece_bytes + row_bytes - piece.len());
+                let part = left.min((piece_bytes + row_bytes - piece.len()) as u64) as usize;
                 let start = piece.len();
                 piece.resize(start + part, 0);
                 self.read_at(at, &mut piece[start..])
                     .map_err(|source| self.error("cannot read back", source))?;
                 at += part as u64;
-                left -= part;
+                left -= part as u64;
                 if piece.len() >= piece_bytes {
                     let whole = piece.len() / row_bytes * row_bytes;
                     take(self, &piece[..whole])?;

@@ -12,7 +12,7 @@ use egui::{Color32, Event, Key, MouseWheelUnit, PointerButton, Pos2, Rect, Respo
 use glam::{DVec2, DVec3};
 
 use crate::frame::{FrameError, FrameSettings, FrameStats, Loading, NodeSource, Renderer};
-use crate::geometry::{View, ViewPreset};
+use crate::geometry::{Aabb, View, ViewPreset};
 use crate::gpu::GpuError;
 use crate::viewer::canvas::Canvas;
 use crate::viewer::keys::{self, KeyCommand};
@@ -47,6 +47,8 @@ pub struct Viewer {
     control: CameraControl,
     /// View to go to as soon as the size of the picture is known.
     asked_view: Option<ViewPreset>,
+    /// What of the scene that view is to show, if not all.
+    asked_part: Option<Aabb>,
     /// Whether the camera was moved since the scene was last framed.
     was_moved: bool,
     files: Vec<OpenedFile>,
@@ -96,6 +98,7 @@ impl Viewer {
             renderer,
             canvas,
             asked_view: Some(options.view),
+            asked_part: None,
             was_moved: false,
             files: Vec::new(),
             opening: None,
@@ -323,6 +326,10 @@ impl Viewer {
         panels::settings(ui, &mut self.settings, &colors);
         ui.separator();
         match panels::files(ui, &self.files) {
+            Some(FileAction::Show(index)) => {
+                self.asked_view = Some(self.options.view);
+                self.asked_part = Some(self.files[index].store.metadata().bounds());
+            }
             Some(FileAction::Close(index)) => {
                 self.files.remove(index);
                 self.take_scene();
@@ -425,7 +432,11 @@ impl Viewer {
     /// Applies what mouse and keys ask of the camera.
     fn move_camera(&mut self, ctx: &egui::Context, response: &Response) {
         if let Some(preset) = self.asked_view.take() {
-            self.control.show(preset, self.view().aspect());
+            let aspect = self.view().aspect();
+            match self.asked_part.take() {
+                Some(part) => self.control.show_part(&part, preset, aspect),
+                None => self.control.show(preset, aspect),
+            }
             self.zoom_anchor = None;
             self.was_moved = false;
         }

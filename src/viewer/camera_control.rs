@@ -124,8 +124,15 @@ impl CameraControl {
 
     /// Goes to a preset's view of the whole scene.
     pub fn show(&mut self, preset: ViewPreset, aspect: f64) {
-        let fly_factor = self.fly_factor;
-        *self = CameraControl { fly_factor, ..CameraControl::new(&self.bounds, preset, aspect) };
+        self.show_part(&self.bounds.clone(), preset, aspect);
+    }
+
+    /// Goes to a preset's view of a part of the scene.
+    pub fn show_part(&mut self, part: &Aabb, preset: ViewPreset, aspect: f64) {
+        let shown = CameraControl::new(part, preset, aspect);
+        self.pose = shown.pose;
+        self.pivot = shown.pivot;
+        self.drag = None;
     }
 
     /// Takes another scene's size; the camera stays where it is.
@@ -472,6 +479,18 @@ mod tests {
         control.drag_to(DVec2::new(650.0, 200.0), &view);
         assert_eq!(control.pose.eye, flown, "the drag does not undo the flight");
         assert!(control.pose.pitch_rad > start.pitch_rad, "up is up");
+    }
+
+    #[test]
+    fn a_part_of_the_scene_fills_the_picture() {
+        let mut control = control_at(UTM);
+        let part = Aabb::new(UTM + 50.0, UTM + 60.0);
+        control.show_part(&part, ViewPreset::Top, 16.0 / 9.0);
+        assert_eq!(control.pivot(), part.center());
+        let corners = [part.min, part.max].map(|corner| pixel(&control, corner));
+        assert!(corners.iter().all(|at| at.cmpge(DVec2::ZERO).all() && at.y < 720.0));
+        assert!((corners[0].y - corners[1].y).abs() > 0.6 * 720.0, "{corners:?}");
+        assert_eq!(control.near, control_at(UTM).near, "the rest stays in the scene");
     }
 
     #[test]

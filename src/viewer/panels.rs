@@ -31,6 +31,8 @@ pub struct Notice {
 /// What the files section asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FileAction {
+    /// Go to a view of the file with that index.
+    Show(usize),
     /// Take the file with that index off the scene.
     Close(usize),
 }
@@ -173,7 +175,10 @@ pub fn files(ui: &mut Ui, files: &[OpenedFile]) -> Option<FileAction> {
         let metadata = file.store.metadata();
         ui.horizontal(|ui| {
             let name = file.path.file_name().unwrap_or(file.path.as_os_str()).to_string_lossy();
-            ui.strong(name).on_hover_text(file.path.display().to_string());
+            let text = format!("{}\nClick to see all of it", file.path.display());
+            if ui.link(RichText::new(name).strong()).on_hover_text(text).clicked() {
+                asked = Some(FileAction::Show(index));
+            }
             if ui.small_button("x").on_hover_text("Close").clicked() {
                 asked = Some(FileAction::Close(index));
             }

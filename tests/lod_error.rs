@@ -20,8 +20,8 @@ use esker::select::{
     AllResident, Availability, CellSpan, Cut, CutScratch, CutSettings, LevelRule, RuleCell,
     SplatPolicy, SplatSettings, select_nodes,
 };
-use glam::DVec3;
-use insertion::Parameters;
+use glam::{DVec3, UVec3};
+use insertion::{InputPoint, Parameters};
 use scans::{Random, Scan, courtyard};
 
 /// For pictures: the paper's node depth, more points than pixels in every view.
@@ -132,6 +132,66 @@ fn drawn_points_are_within_one_pixel_of_all() {
     let coarse =
         CutSettings { rule, error_px: 4.0, point_budget: u64::MAX, ..CutSettings::default() };
     assert!(far_from_drawn(scan, &view, &select(scan, &view, &coarse)).0 > 0);
+}
+
+/// Lonely pairs in opposite corners of cells of all sizes: the farthest that what is drawn can be
+/// from what is left out.
+fn pairs() -> Scan {
+    let mut random = Random::new(23);
+    let mut points = Vec::new();
+    for size in [6u32, 7, 8, 9, 10, 11] {
+        for _ in 0..12 {
+            let low = random.vector(0.0, f64::from(1u32 << (14 - size))).as_uvec3() << size;
+            let corner = (random.unit() * 8.0) as u32;
+            let end = |flip: u32| {
+                let upper = corner ^ flip;
+                let bits = UVec3::new(upper & 1, upper >> 1 & 1, upper >> 2);
+                (low + bits * ((1 << size) - 1)).to_array()
+            };
+            let color = [100; 3];
+            points.extend([0, 7].map(|flip| InputPoint { position: end(flip), color }));
+        }
+    }
+    Scan::new(points, &Parameters { depth: 5, threshold: 1, bits: 14 })
+}
+
+/// A view of the whole scan from anywhere, just as far as its cells are a pixel or less, turned
+/// about its axis, the scan up to `aside` of the way from the middle to the corner of the picture.
+fn distant_view(scan: &Scan, random: &mut Random, fov_y_rad: f64, aside: f64) -> View {
+    let direction = random.vector(-1.0, 1.0).normalize();
+    let up = random.vector(-1.0, 1.0).normalize();
+    let mut view = scan.view_from(direction);
+    view.camera.fov_y_rad = fov_y_rad;
+    let reach = view.focal_px() * 10f64.powf(random.range(-1.7, 0.0));
+    let to_scan = -direction;
+    let sideways = to_scan.cross(up).normalize();
+    let angle = aside * (0.5 * fov_y_rad) * random.unit();
+    let forward = to_scan * angle.cos() + sideways * angle.sin();
+    let eye = scan.center() + direction * (reach * 0.3 * scan.edge());
+    view.camera = Camera::looking_at(eye, eye + forward, up, fov_y_rad, 0.05);
+    view
+}
+
+/// The bound at its tightest. Half the diagonal, or no off-axis correction, would break it.
+#[test]
+fn the_bound_holds_for_points_in_opposite_corners() {
+    let scan = pairs();
+    let mut random = Random::new(24);
+    let count = |random: &mut Random, fov_y_rad, aside, error_px, off_axis| {
+        let rule = LevelRule { cell: RuleCell::Parent, span: CellSpan::Diagonal, off_axis };
+        let settings =
+            CutSettings { rule, error_px, point_budget: u64::MAX, ..CutSettings::default() };
+        let mut violations = 0;
+        for _ in 0..150 {
+            let view = distant_view(&scan, random, fov_y_rad, aside);
+            violations += far_from_drawn(&scan, &view, &select(&scan, &view, &settings)).0;
+        }
+        violations
+    };
+    assert_eq!(count(&mut random, 0.09, 0.0, 1.0, false), 0, "on the image axis");
+    assert_eq!(count(&mut random, 1.8, 0.9, 1.0, true), 0, "towards the corners");
+    assert!(count(&mut random, 0.09, 0.0, 2.0, false) > 0, "at twice the error it must break");
+    assert!(count(&mut random, 1.8, 0.9, 1.0, false) > 0, "without correction it must break");
 }
 
 /// Missing children at random: one size per node taken from the coarsest of its children leaves no

@@ -146,8 +146,12 @@ fn the_cut_is_the_recursive_one_for_all_four_rules() {
     let scan = scan();
     let mut random = Random::new(7);
     let mut sizes = BTreeMap::new();
-    for _ in 0..60 {
-        let view = scan.random_view(&mut random);
+    for i in 0..60 {
+        let mut view = scan.random_view(&mut random);
+        if i % 4 == 0 {
+            let far = 10f64.powf(random.range(0.0, 2.0));
+            view = scan.view_from(random.vector(-1.0, 1.0).normalize() * far);
+        }
         for rule in LevelRule::FOUR {
             let settings = settings(rule, u64::MAX);
             let cut = select(&scan.octree, &view, &settings);

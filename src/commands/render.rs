@@ -520,7 +520,9 @@ fn parse_background(text: &str) -> Result<u32, String> {
         "none" => return Ok(0),
         _ => {}
     }
-    let digits = text.strip_prefix('#').filter(|digits| digits.len() == 6);
+    let is_rgb =
+        |digits: &&str| digits.len() == 6 && digits.bytes().all(|digit| digit.is_ascii_hexdigit());
+    let digits = text.strip_prefix('#').filter(is_rgb);
     let rgb = digits.and_then(|digits| u32::from_str_radix(digits, 16).ok());
     match rgb {
         Some(rgb) => Ok(0xff00_0000 | rgb.swap_bytes() >> 8),

@@ -377,15 +377,23 @@ fn word_of_oklch([lightness, chroma, hue]: [f64; 3]) -> u32 {
 mod tests {
     use super::*;
 
+    /// Lightness in OKLCH of an RGBA8 word.
+    fn lightness(word: u32) -> f64 {
+        let [r, g, b, _] = word.to_le_bytes().map(|byte| {
+            let c = f64::from(byte) / 255.0;
+            if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
+        });
+        let l = 0.4122214708 * r + 0.5363325363 * g + 0.0514459929 * b;
+        let m = 0.2119034982 * r + 0.6806995451 * g + 0.1073969566 * b;
+        let s = 0.0883024619 * r + 0.2817188376 * g + 0.6299787005 * b;
+        0.2104542553 * l.cbrt() + 0.7936177850 * m.cbrt() - 0.0040720468 * s.cbrt()
+    }
+
     #[test]
     fn ramps_rise_in_lightness_and_clamp() {
-        let luma = |word: u32| {
-            let [r, g, b, _] = word.to_le_bytes().map(f64::from);
-            0.2126 * r + 0.7152 * g + 0.0722 * b
-        };
         for keys in [ELEVATION_KEYS, GREY_KEYS, VALUE_KEYS] {
             let ramp = Ramp::new(10.0, 20.0, keys);
-            let at = |value| luma(ramp.color(value));
+            let at = |value| lightness(ramp.color(value));
             for i in 0..20 {
                 let value = 10.0 + 0.5 * f64::from(i);
                 assert!(at(value + 0.5) > at(value), "{value} of {keys:?}");

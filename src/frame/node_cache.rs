@@ -88,6 +88,7 @@ impl NodeCache {
     }
 
     /// The storage, for binding.
+    #[cfg(feature = "gpu")]
     pub fn storage(&self) -> &Storage {
         &self.storage
     }

@@ -100,7 +100,7 @@ mod tests {
     fn each_file_is_joined_once() {
         let text = source("points_compute", AtomicRead::Load);
         assert_eq!(text.matches("struct GpuNode").count(), 1);
-        assert_eq!(text.matches("const BATCH_POINTS").count(), 1);
+        assert_eq!(text.matches("const WORKGROUP_SIZE").count(), 1);
         assert!(!text.contains("#import"));
     }
 }

@@ -38,6 +38,17 @@ impl LevelIndex {
         self.totals[self.totals.len() - 1]
     }
 
+    /// Mean spacing of the node's points, as a share of its cell's edge, if they lie on a surface.
+    ///
+    /// The occupied cells of the finest level that has at least four points in each, on average,
+    /// stand for the area; with fewer than four points the whole cell does.
+    pub fn surface_spacing(&self) -> f64 {
+        let points = f64::from(self.point_count());
+        let is_full = |&total: &u32| 4.0 * f64::from(total) <= points;
+        let level = self.totals.iter().rposition(is_full).unwrap_or(0);
+        (-(level as f64)).exp2() * (f64::from(self.totals[level]) / points).sqrt()
+    }
+
     /// Number of leading points that show levels `0..=level`; all of them beyond the deepest.
     pub fn prefix_len(&self, level: u32) -> u32 {
         self.totals[(level as usize).min(self.totals.len() - 1)]
@@ -54,6 +65,16 @@ mod tests {
         for bad in [vec![], vec![0, 3], vec![2, 3], vec![1, 5, 4]] {
             assert!(LevelIndex::new(bad).is_err());
         }
+    }
+
+    #[test]
+    fn spacing_is_that_of_a_grid_on_a_plane() {
+        // 16 x 16 points on a plane through the cell, levels 0..=6 of 1, 4, 16, 64 cells, then 256.
+        let index = LevelIndex::new(vec![1, 4, 16, 64, 256, 256, 256]).expect("valid");
+        assert_eq!(index.surface_spacing(), 1.0 / 16.0);
+        assert_eq!(LevelIndex::new(vec![1, 1]).expect("valid").surface_spacing(), 1.0);
+        let crowded = LevelIndex::new(vec![1, 4, 1024]).expect("valid");
+        assert_eq!(crowded.surface_spacing(), 1.0 / 32.0);
     }
 
     #[test]

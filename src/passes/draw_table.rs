@@ -11,7 +11,7 @@ use crate::geometry::View;
 use crate::gpu::layout::{GpuBatch, GpuNode, NARROW_BITS};
 use crate::ids::NodeId;
 use crate::octree::Octree;
-use crate::select::{Cut, SplatSettings};
+use crate::select::{Cut, DrawNode, DrawnRow, SplatPolicy, SplatSettings};
 
 /// Where the words of a node are.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -139,11 +139,18 @@ impl DrawTable {
             shard: 0,
             single_pixels: false,
         }));
-        for (row, slot) in cloud.cut.table.iter().zip(base..) {
+        let mut coarsest_edges = vec![f64::INFINITY; cloud.cut.table.len()];
+        for ((index, row), slot) in cloud.cut.table.iter().enumerate().zip(base..) {
             let drawn = cloud.cut.draw[row.draw as usize];
             let place = (cloud.place)(row.node);
-            let cell_edge = octree.cell_size(drawn.splat_level).max_element();
-            let splat_px_m = splat.multiplier * cell_edge * view.focal_px();
+            let edge = match splat.policy {
+                // Looking up a point's size relies on sizes that never grow on the way down.
+                SplatPolicy::PerPoint => splat_edge(octree, row, &drawn).min(coarsest_edges[index]),
+                _ => octree.cell_size(drawn.splat_level).max_element(),
+            };
+            let first = row.first_drawn_child as usize;
+            coarsest_edges[first..first + row.child_drawn_mask.count_ones() as usize].fill(edge);
+            let splat_px_m = splat.multiplier * edge * view.focal_px();
             let (eye_cell, eye_fraction) = local_eye(octree, row.node, view);
             self.nodes.push(GpuNode {
                 eye_cell,
@@ -173,6 +180,27 @@ impl DrawTable {
                 children.map(below).max().unwrap_or(0);
         }
     }
+}
+
+/// Share by which the splats of a node without finer points exceed their mean spacing, because
+/// scans are not even.
+const UNEVENNESS: f64 = 1.5;
+
+/// World edge of the splats of points that have no deeper drawn node around them.
+///
+/// Where finer points exist but are not drawn, splats cover the cell whose representative they
+/// are. Where all there is is drawn, cells say nothing: the points' own spacing counts, be it wider
+/// (a wall seen from near) or narrower (a sparse node in a large cell).
+fn splat_edge(octree: &Octree, row: &DrawnRow, drawn: &DrawNode) -> f64 {
+    let node = octree.node(row.node);
+    let cell_edge = octree.cell_size(drawn.splat_level).max_element();
+    let is_all = drawn.count == node.point_count() && node.child_mask == row.child_drawn_mask;
+    if !is_all {
+        return cell_edge;
+    }
+    let node_edge = octree.cell_size(node.depth).max_element();
+    let spacing = UNEVENNESS * node_edge * node.levels.surface_spacing();
+    if node.child_mask == 0 { spacing } else { spacing.max(cell_edge) }
 }
 
 /// The eye in lattice steps of a node: integer part clamped into the cell, and the rest.

@@ -14,7 +14,7 @@ use serde::Serialize;
 
 use crate::build::available_memory;
 use crate::commands::bench::plot::{Panel, Scale, Series, svg};
-use crate::commands::bench::{BenchArgs, cameras, open_all, write_file};
+use crate::commands::bench::{BenchArgs, cameras, machine, open_all, write_file};
 use crate::frame::{ColorMode, FrameSettings, NodeSource, Renderer, reference_picture};
 use crate::geometry::View;
 use crate::metrics::{PictureError, Pixels, compare};
@@ -105,7 +105,10 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
         let points = store.octree().point_count();
         let nodes = store.octree().nodes().len();
         let (width, height) = plan.size;
-        println!("{name}: {points} points, {nodes} nodes; {width}x{height}, drawn by the CPU\n");
+        println!(
+            "{name}: {points} points, {nodes} nodes; {width}x{height}, drawn by {}\n",
+            machine()
+        );
         let rows = measure(&name, Arc::new(store), &plan)?;
         rows.iter().for_each(|row| write_csv_row(&mut csv, row));
         print!("{}", rules_by_view(&rows, Study::Rules));

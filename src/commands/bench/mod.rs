@@ -72,6 +72,14 @@ fn open_all(args: &BenchArgs, folder: &Path) -> anyhow::Result<Vec<(String, Stor
     Ok(stores)
 }
 
+/// The machine, for the reader of a table: threads and the processor's name where it is told.
+fn machine() -> String {
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let name = info.lines().find_map(|line| line.strip_prefix("model name")?.split(": ").nth(1));
+    format!("{threads} threads of {}", name.unwrap_or(std::env::consts::ARCH))
+}
+
 fn write_file(path: &Path, content: &str) -> anyhow::Result<()> {
     std::fs::write(path, content).with_context(|| format!("{}: cannot write", path.display()))
 }

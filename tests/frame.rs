@@ -224,8 +224,8 @@ fn a_quota_ends_with_the_same_picture() {
         let whole = waiting.render(&view, &FrameSettings::default()).unwrap().clone();
         let expected = waiting.read_picture().unwrap().expect("drawn");
 
-        let mut settings = FrameSettings::default();
-        settings.loading = Loading::Quota { bytes: 50_000 };
+        let loading = Loading::Quota { bytes: 50_000 };
+        let settings = FrameSettings { loading, ..FrameSettings::default() };
         let mut streaming = renderer(path, &cloud, 1 << 30);
         let (mut frames, mut loaded, mut read, mut drawn) = (0, 0, 0, 0);
         loop {

@@ -452,11 +452,11 @@ impl Renderer {
             .map(|cloud| {
                 move |node: NodeId| {
                     let node = (cloud, node);
+                    // With everything loaded in this call, what has room counts as there.
+                    let will_be = || loading == Loading::All && !without_room.contains(&node);
                     if failed.contains(&node) {
                         Availability::Failed
-                    } else if cache.contains(node) {
-                        Availability::Resident
-                    } else if loading == Loading::All && !without_room.contains(&node) {
+                    } else if cache.contains(node) || will_be() {
                         Availability::Resident
                     } else {
                         Availability::Absent
@@ -790,7 +790,7 @@ impl OnGpu {
         self.timer.begin_frame();
         let gpu = self.gpu.clone();
         let (pass, timer) = (&mut self.pass, &mut self.timer);
-        let counts = gpu.checked("draw a frame", || {
+        gpu.checked("draw a frame", || {
             let mut encoder = gpu.device().create_command_encoder(&Default::default());
             let counts = match pass {
                 GpuPass::Compute(pass) => {
@@ -804,8 +804,7 @@ impl OnGpu {
             gpu.queue().submit([encoder.finish()]);
             timer.after_submit();
             Ok(counts)
-        })?;
-        counts
+        })?
     }
 
     fn max_pixels(&self) -> u64 {

@@ -96,6 +96,7 @@ impl PointsCompute {
     }
 
     /// Adds the commands that draw a table into `targets`. Words of all its nodes are in `arena`.
+    #[expect(clippy::too_many_arguments, reason = "what a pass reads and writes, used once")]
     pub fn draw(
         &mut self,
         gpu: &Gpu,
@@ -127,7 +128,7 @@ impl PointsCompute {
 
         let frame_group = bind(gpu, &self.frame_layout, &[whole(frame_buffer)]);
         let pixel_range = part(pixels, 0, pixel_bytes);
-        let draw_pixels = bind(gpu, &self.draw_pixels_layout, &[pixel_range.clone()]);
+        let draw_pixels = bind(gpu, &self.draw_pixels_layout, std::slice::from_ref(&pixel_range));
         let resolve_pixels = bind(gpu, &self.resolve_pixels_layout, &[pixel_range]);
 
         encoder.clear_buffer(pixels, 0, Some(pixel_bytes));

@@ -78,7 +78,8 @@ fn draw_batch(
     let node = &table.nodes[slot];
     let NodeWords { positions, colors } = words[slot];
     let [width, height] = frame.target_px.map(|side| side as i32);
-    for point in batch.first_point as usize..batch.end_point as usize {
+    let (first, end) = (batch.first_point as usize, batch.end_point as usize);
+    for (point, color) in (first..end).zip(&colors[first..end]) {
         let cell = local_cell(node, positions, point);
         let Some(splat) = splat_of(frame, &table.nodes, slot, cell) else { continue };
         let nearness = !splat.distance.to_bits();
@@ -88,7 +89,7 @@ fn draw_batch(
                 let pixel = &pixels[y as usize * width as usize + x as usize];
                 // Most points are hidden: they pay neither for a colour nor for an atomic.
                 if (pixel.load(Ordering::Relaxed) >> 32) as u32 <= nearness {
-                    let value = u64::from(nearness) << 32 | u64::from(!colors[point]);
+                    let value = u64::from(nearness) << 32 | u64::from(!color);
                     pixel.fetch_max(value, Ordering::Relaxed);
                 }
             }

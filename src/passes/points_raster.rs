@@ -60,6 +60,7 @@ impl PointsRaster {
     }
 
     /// Adds the commands that draw a table into `targets`. Words of all its nodes are in `arena`.
+    #[expect(clippy::too_many_arguments, reason = "what a pass reads and writes, used once")]
     pub fn draw(
         &mut self,
         gpu: &Gpu,

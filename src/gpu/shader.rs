@@ -1,7 +1,7 @@
 //! WGSL files, joined by `#import` and compiled into the program.
 //!
 //! A line `#import name` is replaced by the file of that name, once per shader however often it is
-//! asked for; the shared constants come first ([`layout::prelude`](crate::gpu::layout::prelude)).
+//! asked for; the shared constants come first ([`layout::prelude`]).
 //! No conditions and no macros: what differs between adapters is a file under another name.
 
 use std::borrow::Cow;

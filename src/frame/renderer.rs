@@ -17,7 +17,7 @@ use crate::gpu::{Gpu, GpuError, PassTimer, WordArena};
 use crate::ids::NodeId;
 use crate::passes::{CloudDraw, DrawTable, NodePlace, NodeWords, Picture, PointsCpu, Tile};
 #[cfg(feature = "gpu")]
-use crate::passes::{DrawCounts, PointsCompute, PointsRaster, Targets};
+use crate::passes::{DrawCounts, PointDrawing, PointsCompute, PointsRaster, Targets};
 use crate::select::{Availability, Cut, CutScratch, CutSettings, Residency, select_scene};
 
 /// Why a frame was not drawn.
@@ -790,15 +790,12 @@ impl OnGpu {
         self.timer.begin_frame();
         let gpu = self.gpu.clone();
         let (pass, timer) = (&mut self.pass, &mut self.timer);
+        let drawing = PointDrawing { frame, table, arena, targets };
         gpu.checked("draw a frame", || {
             let mut encoder = gpu.device().create_command_encoder(&Default::default());
             let counts = match pass {
-                GpuPass::Compute(pass) => {
-                    pass.draw(&gpu, &mut encoder, timer, frame, table, arena, targets)
-                }
-                GpuPass::Raster(pass) => {
-                    pass.draw(&gpu, &mut encoder, timer, frame, table, arena, targets)
-                }
+                GpuPass::Compute(pass) => pass.draw(&gpu, &mut encoder, timer, &drawing),
+                GpuPass::Raster(pass) => pass.draw(&gpu, &mut encoder, timer, &drawing),
             }?;
             timer.end_frame(&mut encoder);
             gpu.queue().submit([encoder.finish()]);

@@ -24,6 +24,20 @@ pub use picture::{Picture, Tile};
 pub use points_cpu::{NodeWords, PointsCpu};
 pub use reference::reference_picture;
 
+/// What a point pass on the device draws, and where to.
+#[cfg(feature = "gpu")]
+#[derive(Clone, Copy)]
+pub struct PointDrawing<'a> {
+    /// What all draws share.
+    pub frame: &'a crate::gpu::layout::GpuFrame,
+    /// The nodes.
+    pub table: &'a DrawTable,
+    /// The words of all of them.
+    pub arena: &'a crate::gpu::WordArena,
+    /// The textures.
+    pub targets: &'a Targets,
+}
+
 /// What the commands of one drawing contain.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DrawCounts {

@@ -8,8 +8,8 @@ use std::num::NonZeroU64;
 use std::ops::Range;
 
 use crate::gpu::layout::{GpuBatch, GpuFrame};
-use crate::gpu::{Gpu, GpuError, GrowingBuffer, PassTimer, WordArena, read_buffer, shader};
-use crate::passes::{Batches, DrawCounts, DrawTable, Targets};
+use crate::gpu::{Gpu, GpuError, GrowingBuffer, PassTimer, read_buffer, shader};
+use crate::passes::{Batches, DrawCounts, PointDrawing, Targets};
 
 /// The pass, its pipelines and its tables.
 #[derive(Debug)]
@@ -95,18 +95,15 @@ impl PointsCompute {
         limits.max_storage_buffer_binding_size.min(limits.max_buffer_size) / 8
     }
 
-    /// Adds the commands that draw a table into `targets`. Words of all its nodes are in `arena`.
-    #[expect(clippy::too_many_arguments, reason = "what a pass reads and writes, used once")]
+    /// Adds the commands that draw a table into its targets.
     pub fn draw(
         &mut self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         timer: &mut PassTimer,
-        frame: &GpuFrame,
-        table: &DrawTable,
-        arena: &WordArena,
-        targets: &Targets,
+        drawing: &PointDrawing,
     ) -> Result<DrawCounts, GpuError> {
+        let PointDrawing { frame, table, arena, targets } = *drawing;
         self.target_px = frame.target_px;
         if table.draws.is_empty() {
             self.target_px = [0, 0];

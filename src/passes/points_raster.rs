@@ -6,9 +6,9 @@
 //! `points_raster.wgsl`.
 
 use crate::gpu::layout::GpuFrame;
-use crate::gpu::{Gpu, GpuError, GrowingBuffer, PassTimer, WordArena, shader};
+use crate::gpu::{Gpu, GpuError, GrowingBuffer, PassTimer, shader};
 use crate::passes::points_compute::{bind, layout, part, whole};
-use crate::passes::{DrawCounts, DrawTable, Targets};
+use crate::passes::{DrawCounts, PointDrawing, Targets};
 
 /// The pass, its pipelines and its tables.
 #[derive(Debug)]
@@ -59,18 +59,15 @@ impl PointsRaster {
         })
     }
 
-    /// Adds the commands that draw a table into `targets`. Words of all its nodes are in `arena`.
-    #[expect(clippy::too_many_arguments, reason = "what a pass reads and writes, used once")]
+    /// Adds the commands that draw a table into its targets.
     pub fn draw(
         &mut self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         timer: &mut PassTimer,
-        frame: &GpuFrame,
-        table: &DrawTable,
-        arena: &WordArena,
-        targets: &Targets,
+        drawing: &PointDrawing,
     ) -> Result<DrawCounts, GpuError> {
+        let PointDrawing { frame, table, arena, targets } = *drawing;
         if table.draws.is_empty() {
             targets.clear(encoder, frame.background);
             return Ok(DrawCounts::default());

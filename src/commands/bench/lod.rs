@@ -409,46 +409,29 @@ impl Mean {
 }
 
 fn write_plot(folder: &Path, name: &str, rows: &[Row]) -> anyhow::Result<()> {
-    let x_of = |row: &Mean| row.points;
-    let time_of = |row: &Mean| row.frame_ms;
+    let points = |mean: &Mean| mean.points;
+    let time = |mean: &Mean| mean.frame_ms;
     let holes = |mean: &Mean| 100.0 * mean.error.hole_fraction;
     let rmse = |mean: &Mean| mean.error.rmse;
     let unlike = |mean: &Mean| 1.0 - mean.error.ssim;
     type Value = fn(&Mean) -> f64;
     let columns: [(&str, Value, &str, Value); 4] = [
-        ("points drawn", x_of, "empty pixels, %", holes),
-        ("points drawn", x_of, "colour RMSE (0-255)", rmse),
-        ("points drawn", x_of, "1 - SSIM", unlike),
-        ("frame time, ms", time_of, "colour RMSE (0-255)", rmse),
+        ("points drawn", points, "empty pixels, %", holes),
+        ("points drawn", points, "colour RMSE (0-255)", rmse),
+        ("points drawn", points, "1 - SSIM", unlike),
+        ("frame time, ms", time, "colour RMSE (0-255)", rmse),
     ];
-    let mut panels = Vec::new();
     let studies = [
         (Study::Rules, "rules, rising error settings"),
         (Study::Sizes, "splat sizes, rising budgets"),
     ];
+    let mut panels = Vec::new();
     for (study, title) in studies {
-        let rows: Vec<&Row> = rows.iter().filter(|row| row.study == study).collect();
-        let line_of = |row: &Row| if study == Study::Rules { row.rule } else { row.splats };
+        let lines = lines(rows, study);
         for (x_label, x, y_label, y) in columns {
-            let series = unique(rows.iter().map(|row| line_of(row))).into_iter().map(|line| {
-                let of_line: Vec<&Row> =
-                    rows.iter().copied().filter(|row| line_of(row) == line).collect();
-                let settings =
-                    unique(of_line.iter().map(|row| (row.error_px.to_bits(), row.point_budget)));
-                let mut points: Vec<(f64, f64)> = settings
-                    .into_iter()
-                    .map(|setting| {
-                        let group: Vec<&Row> = of_line
-                            .iter()
-                            .copied()
-                            .filter(|row| (row.error_px.to_bits(), row.point_budget) == setting)
-                            .collect();
-                        let mean = Mean::of(&group);
-                        (x(&mean), y(&mean))
-                    })
-                    .collect();
-                points.sort_by(|a, b| a.0.total_cmp(&b.0));
-                Series { name: line.to_owned(), points }
+            let series = lines.iter().map(|(name, means)| Series {
+                name: (*name).to_owned(),
+                points: means.iter().map(|mean| (x(mean), y(mean))).collect(),
             });
             panels.push(Panel {
                 title: title.to_owned(),
@@ -462,6 +445,26 @@ fn write_plot(folder: &Path, name: &str, rows: &[Row]) -> anyhow::Result<()> {
     }
     let heading = format!("{name}: error against the reference picture, mean over the views");
     write_file(&folder.join(format!("lod-{name}.svg")), &svg(&heading, &panels, 4))
+}
+
+/// The lines of a study's plots: per rule or policy the means over the views of each setting, from
+/// few points to many.
+fn lines(rows: &[Row], study: Study) -> Vec<(&'static str, Vec<Mean>)> {
+    let line_of = |row: &Row| if study == Study::Rules { row.rule } else { row.splats };
+    let setting_of = |row: &Row| (row.error_px, row.point_budget);
+    let rows: Vec<&Row> = rows.iter().filter(|row| row.study == study).collect();
+    let line = |name: &'static str| {
+        let rows: Vec<&Row> = rows.iter().copied().filter(|row| line_of(row) == name).collect();
+        let mean = |setting| {
+            let group = rows.iter().copied().filter(|row| setting_of(row) == setting);
+            Mean::of(&group.collect::<Vec<_>>())
+        };
+        let settings = unique(rows.iter().map(|row| setting_of(row)));
+        let mut means: Vec<Mean> = settings.into_iter().map(mean).collect();
+        means.sort_by(|a, b| a.points.total_cmp(&b.points));
+        (name, means)
+    };
+    unique(rows.iter().map(|row| line_of(row))).into_iter().map(line).collect()
 }
 
 /// The different values, in order of appearance.

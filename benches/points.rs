@@ -2,7 +2,8 @@
 //!
 //! Run: `cargo bench --bench points`. The cloud is seeded: two bumpy sheets, 4 M points. Sizes
 //! differ by the error in pixels; times are of whole frames (selection, tables, points, resolve,
-//! waiting for the device), minimum and median over repeats from slightly turning views. The bare
+//! waiting for the device), minimum and median over repeats from slightly turning views, the paths
+//! taking turns. The bare
 //! pass has the points of the same frame as one flat list.
 
 #[path = "../tests/support/memory_cloud.rs"]
@@ -15,10 +16,11 @@ use esker::frame::{FrameSettings, NodeSource, RasterPath, Renderer};
 use esker::geometry::{Camera, MortonKey, View};
 use esker::gpu::layout::{GpuFrame, GpuNode, position_words};
 use esker::gpu::{Gpu, shader};
+use esker::octree::Octree;
 use esker::passes::Tile;
 use esker::passes::splat::local_cell;
 use esker::points::Lattice;
-use esker::select::{AllResident, CutScratch, select_nodes};
+use esker::select::{AllResident, CutScratch, SplatSettings, select_nodes};
 use glam::{DVec3, UVec3};
 use memory_cloud::MemoryCloud;
 
@@ -45,29 +47,47 @@ fn main() {
     for (name, error_px) in [("2 M points", 0.9), ("0.5 M points", 1.8)] {
         let mut settings = FrameSettings::default();
         settings.cut.error_px = error_px;
-        let bare = bare_times(&gpu, &cloud, &settings);
-        let bare_ms = report(&format!("{name}, bare"), None, bare, None);
-        for path in [RasterPath::Compute, RasterPath::Cpu, RasterPath::Raster] {
-            let mut renderer = match path {
-                RasterPath::Cpu => Renderer::on_cpu(1 << 30),
-                path => Renderer::on_gpu(gpu.clone(), path, 1 << 30).expect("the path is there"),
-            };
-            renderer.set_scene(vec![cloud.clone() as Arc<dyn NodeSource>]);
-            let mut times = Vec::new();
-            for turn in 0..REPEATS + 3 {
-                let start = Instant::now();
-                renderer.render(&view(turn), &settings).expect("the frame is drawn");
-                gpu.wait().expect("the device lives");
-                times.push(start.elapsed().as_secs_f64() * 1e3);
+        let bare = BarePass::new(&gpu, &cloud, &settings);
+        let mut renderers =
+            [RasterPath::Compute, RasterPath::Cpu, RasterPath::Raster].map(|path| {
+                let mut renderer = match path {
+                    RasterPath::Cpu => Renderer::on_cpu(1 << 30),
+                    path => {
+                        Renderer::on_gpu(gpu.clone(), path, 1 << 30).expect("the path is there")
+                    }
+                };
+                renderer.set_scene(vec![cloud.clone() as Arc<dyn NodeSource>]);
+                renderer
+            });
+        let mut times = [const { Vec::new() }; 4];
+        // In turns, so that what else the machine does falls on all alike.
+        for turn in 0..REPEATS + 3 {
+            let view = view(turn);
+            times[0].push(milliseconds(|| bare.draw(&gpu, &view)));
+            for (renderer, times) in renderers.iter_mut().zip(&mut times[1..]) {
+                times.push(milliseconds(|| {
+                    renderer.render(&view, &settings).expect("the frame is drawn");
+                    gpu.wait().expect("the device lives");
+                }));
             }
-            let stats = renderer.stats().clone();
+        }
+        let [bare_times, times @ ..] = times;
+        let bare_ms = report(&format!("{name}, bare"), None, bare_times, None);
+        for (renderer, times) in renderers.iter().zip(times) {
+            let stats = renderer.stats();
             let drawn = Some((stats.points_drawn, stats.nodes_drawn));
-            report(&format!("{name}, {}", path.name()), drawn, times, Some(bare_ms));
-            for time in stats.passes {
+            report(&format!("{name}, {}", renderer.path().name()), drawn, times, Some(bare_ms));
+            for time in &stats.passes {
                 println!("{:>24} {:>27.2} ({})", time.pass, time.pass_ms, time.clock);
             }
         }
     }
+}
+
+fn milliseconds(work: impl FnOnce()) -> f64 {
+    let start = Instant::now();
+    work();
+    start.elapsed().as_secs_f64() * 1e3
 }
 
 /// Prints a row and returns the median; the first three times are warming up.
@@ -110,90 +130,98 @@ fn seeded_cloud() -> MemoryCloud {
     MemoryCloud::new(lattice, BITS, 7, &points)
 }
 
-/// Times of the bare pass over the points that a frame draws.
-fn bare_times(gpu: &Gpu, cloud: &MemoryCloud, settings: &FrameSettings) -> Vec<f64> {
-    let (words, count) = flat_words(cloud, settings);
-    let text = shader::source_with("bare", include_str!("points_bare.wgsl"), gpu.atomic_read());
-    let module = shader::module_of(gpu, "bare", text).expect("the shader is valid");
-    let device = gpu.device();
-    let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-        label: None,
-        layout: None,
-        module: &module,
-        entry_point: Some("draw_bare"),
-        compilation_options: Default::default(),
-        cache: None,
-    });
-    let buffer = |size: u64, usage| {
-        device.create_buffer(&wgpu::BufferDescriptor {
+/// The bare pass over the points that a frame draws.
+struct BarePass {
+    octree: Octree,
+    count: u32,
+    pipeline: wgpu::ComputePipeline,
+    groups: [wgpu::BindGroup; 3],
+    frame: wgpu::Buffer,
+    nodes: wgpu::Buffer,
+    pixels: wgpu::Buffer,
+}
+
+impl BarePass {
+    fn new(gpu: &Gpu, cloud: &MemoryCloud, settings: &FrameSettings) -> Self {
+        let (words, count) = flat_words(cloud, settings);
+        let text = shader::source_with("bare", include_str!("points_bare.wgsl"), gpu.atomic_read());
+        let module = shader::module_of(gpu, "bare", text).expect("the shader is valid");
+        let device = gpu.device();
+        let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: None,
-            size,
-            usage: usage | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        })
-    };
-    let frame_buffer = buffer(size_of::<GpuFrame>() as u64, wgpu::BufferUsages::UNIFORM);
-    let nodes = buffer(size_of::<GpuNode>() as u64, wgpu::BufferUsages::STORAGE);
-    let word_buffer = buffer(4 * words.len() as u64, wgpu::BufferUsages::STORAGE);
-    let pixels = buffer(8 * 1280 * 720, wgpu::BufferUsages::STORAGE);
-    gpu.queue().write_buffer(&word_buffer, 0, bytemuck::cast_slice(&words));
-    let group = |index, buffers: &[&wgpu::Buffer]| {
-        let entries: Vec<_> = buffers
-            .iter()
-            .zip(0..)
-            .map(|(buffer, binding)| wgpu::BindGroupEntry {
-                binding,
-                resource: buffer.as_entire_binding(),
+            layout: None,
+            module: &module,
+            entry_point: Some("draw_bare"),
+            compilation_options: Default::default(),
+            cache: None,
+        });
+        let buffer = |size: u64, usage| {
+            device.create_buffer(&wgpu::BufferDescriptor {
+                label: None,
+                size,
+                usage: usage | wgpu::BufferUsages::COPY_DST,
+                mapped_at_creation: false,
             })
-            .collect();
-        device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: None,
-            layout: &pipeline.get_bind_group_layout(index),
-            entries: &entries,
-        })
-    };
-    let groups =
-        [group(0, &[&frame_buffer]), group(1, &[&nodes, &word_buffer]), group(2, &[&pixels])];
-    let octree = cloud.octree();
-    let mut times = Vec::new();
-    for turn in 0..REPEATS + 3 {
-        let view = view(turn);
-        let start = Instant::now();
-        let frame = Tile::whole(&view).gpu_frame(&view, &settings.cut.splat, 0);
-        let eye = octree.lattice().lattice(view.camera.eye);
+        };
+        let storage = wgpu::BufferUsages::STORAGE;
+        let frame = buffer(size_of::<GpuFrame>() as u64, wgpu::BufferUsages::UNIFORM);
+        let nodes = buffer(size_of::<GpuNode>() as u64, storage);
+        let word_buffer = buffer(4 * words.len() as u64, storage);
+        let pixels = buffer(8 * 1280 * 720, storage);
+        gpu.queue().write_buffer(&word_buffer, 0, bytemuck::cast_slice(&words));
+        let group = |index, buffers: &[&wgpu::Buffer]| {
+            let entries: Vec<_> = buffers
+                .iter()
+                .zip(0..)
+                .map(|(buffer, binding)| wgpu::BindGroupEntry {
+                    binding,
+                    resource: buffer.as_entire_binding(),
+                })
+                .collect();
+            device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: None,
+                layout: &pipeline.get_bind_group_layout(index),
+                entries: &entries,
+            })
+        };
+        let groups = [group(0, &[&frame]), group(1, &[&nodes, &word_buffer]), group(2, &[&pixels])];
+        BarePass { octree: cloud.octree().clone(), count, pipeline, groups, frame, nodes, pixels }
+    }
+
+    fn draw(&self, gpu: &Gpu, view: &View) {
+        let frame = Tile::whole(view).gpu_frame(view, &SplatSettings::default(), 0);
+        let eye = self.octree.lattice().lattice(view.camera.eye);
         let last = f64::from(BITS).exp2() - 1.0;
         let eye_cell = eye.floor().clamp(DVec3::ZERO, DVec3::splat(last));
         let node = GpuNode {
             eye_cell: eye_cell.as_uvec3().to_array(),
             positions_at: 0,
             eye_fraction: (eye - eye_cell).as_vec3().to_array(),
-            colors_at: 2 * count,
-            scale: octree.lattice().scale.as_vec3().to_array(),
+            colors_at: 2 * self.count,
+            scale: self.octree.lattice().scale.as_vec3().to_array(),
             splat_px_m: 0.0,
             local_bits: BITS,
-            drawn_count: count,
+            drawn_count: self.count,
             drawn_children: 0,
             drawn_levels_below: 0,
         };
-        gpu.queue().write_buffer(&frame_buffer, 0, bytemuck::bytes_of(&frame));
-        gpu.queue().write_buffer(&nodes, 0, bytemuck::bytes_of(&node));
-        let mut encoder = device.create_command_encoder(&Default::default());
-        encoder.clear_buffer(&pixels, 0, None);
+        gpu.queue().write_buffer(&self.frame, 0, bytemuck::bytes_of(&frame));
+        gpu.queue().write_buffer(&self.nodes, 0, bytemuck::bytes_of(&node));
+        let mut encoder = gpu.device().create_command_encoder(&Default::default());
+        encoder.clear_buffer(&self.pixels, 0, None);
         {
             let mut pass = encoder.begin_compute_pass(&Default::default());
-            pass.set_pipeline(&pipeline);
-            for (group, index) in groups.iter().zip(0..) {
+            pass.set_pipeline(&self.pipeline);
+            for (group, index) in self.groups.iter().zip(0..) {
                 pass.set_bind_group(index, group, &[]);
             }
-            let workgroups = count.div_ceil(BARE_WORKGROUP_SIZE);
+            let workgroups = self.count.div_ceil(BARE_WORKGROUP_SIZE);
             let row = workgroups.min(32_768);
             pass.dispatch_workgroups(row, workgroups.div_ceil(row), 1);
         }
         gpu.queue().submit([encoder.finish()]);
         gpu.wait().expect("the device lives");
-        times.push(start.elapsed().as_secs_f64() * 1e3);
     }
-    times
 }
 
 /// Root-local Morton words, then colours, of the points that the middle frame draws, in the order

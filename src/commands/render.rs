@@ -191,8 +191,7 @@ impl Drawing {
 
     fn picture(&mut self, view: &View, settings: &FrameSettings) -> anyhow::Result<Picture> {
         match self.renderer.render_picture(view, settings) {
-            Err(error @ FrameError::View { .. }) => Err(error.into()),
-            Err(error) if self.may_change => {
+            Err(error) if self.may_change && !matches!(error, FrameError::View { .. }) => {
                 eprintln!("esker: {error}; the CPU draws instead");
                 self.may_change = false;
                 self.adapter = None;

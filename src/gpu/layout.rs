@@ -101,7 +101,8 @@ gpu_struct! {
         /// The lowest 8 bits: bit `o` is set if the child in octant `o` is drawn. Above them: slot
         /// of the first drawn child.
         drawn_children: u32,
-        /// Most steps down from here to a drawn node that has no drawn child.
+        /// Most steps down from here to a drawn node that has no drawn child, or below which all
+        /// splats are single pixels.
         drawn_levels_below: u32,
     }
 }

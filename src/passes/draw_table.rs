@@ -7,7 +7,7 @@
 
 use std::ops::Range;
 
-use crate::geometry::View;
+use crate::geometry::{Aabb, View};
 use crate::gpu::layout::{GpuBatch, GpuNode, NARROW_BITS};
 use crate::ids::NodeId;
 use crate::octree::Octree;
@@ -168,16 +168,22 @@ impl DrawTable {
             let draw = &mut self.draws[first_draw + row.draw as usize];
             draw.slot = slot;
             draw.shard = place.shard;
-            // A hair of margin, because the GPU compares in f32.
-            draw.single_pixels = splat_px_m <= 0.9999 * nearest_depth(octree, row.node, view);
+            let depth = nearest_depth(&octree.tight_box(row.node), view);
+            draw.single_pixels = splat_px_m <= HAIR * depth;
         }
-        // Children stand after their parents, so going backwards finds them done.
+        // Children stand after their parents, so going backwards finds them done. Below a cell
+        // whose splats are all single pixels there is nothing to look up.
         for (i, row) in cloud.cut.table.iter().enumerate().rev() {
+            let slot = base as usize + i;
+            let cell_depth = nearest_depth(&octree.cell_box(row.node), view);
             let first = base + row.first_drawn_child;
             let children = first..first + row.child_drawn_mask.count_ones();
             let below = |child| self.nodes[child as usize].drawn_levels_below + 1;
-            self.nodes[base as usize + i].drawn_levels_below =
-                children.map(below).max().unwrap_or(0);
+            self.nodes[slot].drawn_levels_below =
+                match f64::from(self.nodes[slot].splat_px_m) <= HAIR * cell_depth {
+                    true => 0,
+                    false => children.map(below).max().unwrap_or(0),
+                };
         }
     }
 }
@@ -212,9 +218,11 @@ fn local_eye(octree: &Octree, node: NodeId, view: &View) -> ([u32; 3], [f32; 3])
     (cell.map(|c| c as u32), fraction)
 }
 
-/// Smallest distance along the viewing direction of a node's points.
-fn nearest_depth(octree: &Octree, node: NodeId, view: &View) -> f64 {
-    let tight = octree.tight_box(node);
+/// Smallest distance along the viewing direction of a box.
+fn nearest_depth(bounds: &Aabb, view: &View) -> f64 {
     let forward = view.camera.forward;
-    (tight.center() - view.camera.eye).dot(forward) - 0.5 * tight.size().dot(forward.abs())
+    (bounds.center() - view.camera.eye).dot(forward) - 0.5 * bounds.size().dot(forward.abs())
 }
+
+/// A hair of margin, because the GPU compares in f32.
+const HAIR: f64 = 0.9999;

@@ -146,3 +146,24 @@ fn selections_select() {
     let coarse = export(&["--level", "0"]);
     assert!(!coarse.is_empty() && coarse.len() < all.len());
 }
+
+#[test]
+fn a_store_adds_no_points_and_little_beside_them() {
+    let Some(input) = shared_data::file("autzen_trim_7.las") else { return };
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("s.esker");
+    esker().arg("convert").arg(&input).arg("-o").arg(&path).assert().success();
+    let store = esker::store::Store::open(&path).expect("the store opens");
+    let scan = LasScan::open(&input).expect("the input opens");
+    assert_eq!(store.octree().point_count(), scan.points());
+    // What drawing needs, decoded: position and colour words, and the directory.
+    let (mut words, mut drawn_bytes) = (Vec::new(), store.header().directory.bytes);
+    for node in (0..store.octree().nodes().len() as u32).map(esker::ids::NodeId) {
+        store.read_positions(node, &mut words).expect("the node reads");
+        drawn_bytes += 4 * words.len() as u64;
+        store.read_colors(node, &mut words).expect("the node reads");
+        drawn_bytes += 4 * words.len() as u64;
+    }
+    let per_point = drawn_bytes as f64 / scan.points() as f64;
+    assert!(per_point <= 16.5, "{per_point} bytes a point");
+}

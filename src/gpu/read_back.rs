@@ -1,6 +1,7 @@
 //! Bytes back from the device, on demand; the call waits for the GPU.
 
 use std::sync::mpsc;
+use std::time::Duration;
 
 use crate::gpu::{Gpu, GpuError};
 
@@ -40,6 +41,9 @@ pub fn read_texture(gpu: &Gpu, texture: &wgpu::Texture) -> Result<Vec<u8>, GpuEr
     Ok(padded.chunks(padded_row_bytes).flat_map(|row| &row[..row_bytes]).copied().collect())
 }
 
+/// How long another thread may take to run a callback before the device counts as lost.
+const CALLBACK_LIMIT: Duration = Duration::from_secs(10);
+
 fn read_through(
     gpu: &Gpu,
     size: u64,
@@ -64,7 +68,9 @@ fn read_through(
     });
     gpu.wait()?;
     let lost = |reason: &str| GpuError::Lost { reason: reason.to_owned() };
-    match receiver.try_recv() {
+    // The work is done, but whichever thread polls the device runs the callback: with several, it
+    // may be another one that is just about to.
+    match receiver.recv_timeout(CALLBACK_LIMIT) {
         Ok(Ok(())) => {}
         Ok(Err(error)) => return Err(lost(&error.to_string())),
         Err(_) => return Err(lost("a read-back never came")),

@@ -13,6 +13,7 @@
 mod crs;
 mod detect;
 mod error;
+mod foreign;
 mod guard;
 mod header;
 mod las_layout;
@@ -27,6 +28,10 @@ mod vlr;
 pub use crs::Crs;
 pub use detect::{FileKind, detect};
 pub use error::{LasError, LasFault};
+pub use foreign::{
+    Column, CoordinateKind, ForeignFacts, ForeignFault, ForeignReader, Pose, RowBlock, RowBuffer,
+    ScanPart,
+};
 pub use guard::without_panic;
 pub use header::{LasHeader, ReturnCounts, place};
 pub use point_format::{ExtraBytes, PointFormat};

@@ -1,34 +1,107 @@
-//! What a file is, from its first bytes; names are not asked.
+//! What a file is: from its first bytes, and by its suffix where bytes cannot tell (text).
+//!
+//! Formats outside the LAS family stand in [`FORMATS`]. **A new format is one more entry there**: a
+//! [`FileKind`], the suffixes that folders contribute, a function that recognises the first bytes,
+//! and one that opens the file as a [`ForeignReader`]. The order is that of asking: formats with a
+//! signature stand before those that are guessed.
 
 use std::fs::File;
 use std::path::Path;
 
 use super::error::{LasError, LasFault};
+use super::foreign::{ForeignFault, ForeignReader};
 use super::positioned_file::PositionedFile;
 
 /// What a file is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum FileKind {
     /// A LAS file with plain records.
     Las,
     /// A LAS file with compressed records (COPC included).
     Laz,
+    /// A Stanford polygon file.
+    Ply,
+    /// A file of the Point Cloud Library.
+    Pcd,
+    /// An ASTM E57 file.
+    E57,
     /// Something else.
     Other,
+}
+
+/// How text formats are to be read; everything else ignores it.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ReadOptions {
+    /// Names of the columns of text files, separated by commas, where they are not to be guessed.
+    pub columns: Option<String>,
+}
+
+/// The first bytes of a file and the end of its name.
+#[allow(dead_code, reason = "the first entry of FORMATS reads them")]
+pub(super) struct Signs<'a> {
+    /// At most [`HEAD_BYTES`] bytes; fewer only if the file is that short.
+    pub head: &'a [u8],
+    /// Suffix in lower case; empty without one.
+    pub suffix: &'a str,
+}
+
+/// Opens a file as one of a format.
+pub(super) type OpenReader =
+    fn(PositionedFile, &ReadOptions) -> Result<Box<dyn ForeignReader>, ForeignFault>;
+
+/// A format outside the LAS family.
+pub(super) struct Format {
+    pub kind: FileKind,
+    /// Suffixes, in lower case, of the files that a folder contributes.
+    pub suffixes: &'static [&'static str],
+    /// Whether a file with these signs is one.
+    pub claims: fn(&Signs) -> bool,
+    pub open: OpenReader,
+}
+
+/// All formats outside the LAS family, in the order in which they are asked.
+pub(super) const FORMATS: &[Format] = &[];
+
+/// Most bytes that decide what a file is.
+pub(super) const HEAD_BYTES: usize = 4096;
+
+const LAS_SUFFIXES: &[&str] = &["las", "laz"];
+
+/// Suffixes, in lower case, of the files that are taken for scans when they are not named one by
+/// one.
+pub fn scan_suffixes() -> impl Iterator<Item = &'static str> {
+    let foreign = FORMATS.iter().flat_map(|format| format.suffixes);
+    LAS_SUFFIXES.iter().chain(foreign).copied()
 }
 
 /// Says what a file is; an error if it cannot be read or is no file.
 pub fn detect(path: &Path) -> Result<FileKind, LasError> {
     let in_file = |fault| LasError::new(path, fault);
-    let file = open_regular(path).map_err(in_file)?;
-    let mut head = [0; 105];
-    let length = (file.bytes() as usize).min(head.len());
-    file.read_exact_at(&mut head[..length], 0).map_err(in_file)?;
-    Ok(match (&head[..4], head[104] & 0x80) {
-        (b"LASF", 0) => FileKind::Las,
-        (b"LASF", _) => FileKind::Laz,
-        _ => FileKind::Other,
-    })
+    let (file, head) = open_with_head(path).map_err(in_file)?;
+    drop(file);
+    let foreign = || format_of(path, &head).map_or(FileKind::Other, |format| format.kind);
+    Ok(las_kind(&head).unwrap_or_else(foreign))
+}
+
+/// Whether the first bytes are those of the LAS family, and of which member.
+pub(super) fn las_kind(head: &[u8]) -> Option<FileKind> {
+    let compressed = head.get(104).is_some_and(|byte| byte & 0x80 != 0);
+    head.starts_with(b"LASF").then_some(if compressed { FileKind::Laz } else { FileKind::Las })
+}
+
+/// The format outside the LAS family that claims a file.
+pub(super) fn format_of(path: &Path, head: &[u8]) -> Option<&'static Format> {
+    let suffix = path.extension().map(|suffix| suffix.to_string_lossy().to_ascii_lowercase());
+    let signs = Signs { head, suffix: suffix.as_deref().unwrap_or_default() };
+    FORMATS.iter().find(|format| (format.claims)(&signs))
+}
+
+/// Opens a file that is not empty and reads what decides its format.
+pub(super) fn open_with_head(path: &Path) -> Result<(PositionedFile, Vec<u8>), LasFault> {
+    let file = open_regular(path)?;
+    let head = file.read_range(0..file.bytes().min(HEAD_BYTES as u64))?;
+    Ok((file, head))
 }
 
 /// Opens what stands at the path if it is a file with at least one byte.

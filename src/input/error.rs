@@ -4,6 +4,41 @@ use std::io;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
+use super::foreign::ForeignFault;
+
+/// A scan file of any format that cannot be read, and why.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ScanError {
+    /// A file of the LAS family.
+    #[error(transparent)]
+    Las(#[from] LasError),
+    /// A file of another format, or of none that is known.
+    #[error("{fault}: {}", path.display())]
+    Foreign {
+        /// The file.
+        path: PathBuf,
+        /// The place and the reason.
+        #[source]
+        fault: ForeignFault,
+    },
+}
+
+impl ScanError {
+    /// A fault in a file that is not of the LAS family.
+    pub fn foreign(path: &Path, fault: ForeignFault) -> Self {
+        ScanError::Foreign { path: path.to_path_buf(), fault }
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        match self {
+            ScanError::Las(error) => &error.path,
+            ScanError::Foreign { path, .. } => path,
+        }
+    }
+}
+
 /// A scan file that cannot be read, and why.
 #[derive(Debug, thiserror::Error)]
 #[error("{fault}: {}", path.display())]

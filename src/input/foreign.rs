@@ -9,6 +9,7 @@ use std::fmt::Debug;
 use glam::{DQuat, DVec3};
 
 use super::crs::Crs;
+use super::error::LasFault;
 use crate::points::{Lattice, Scalar};
 
 /// How a file writes coordinates, which decides on what lattice they are exact.
@@ -66,7 +67,7 @@ pub struct Column {
 pub struct RowBlock {
     /// Place of its first row among those of the file, dropped ones not counted.
     pub first_point: u64,
-    /// Rows it hands out.
+    /// Rows it hands out, at most [`MOST_BLOCK_ROWS`].
     pub points: u64,
     /// Index of its scan.
     pub part: u32,
@@ -119,6 +120,42 @@ pub struct ForeignFault {
     /// What is wrong there.
     pub reason: String,
 }
+
+impl ForeignFault {
+    /// A fault at a byte of the file.
+    pub fn at_byte(byte: u64, reason: impl Into<String>) -> Self {
+        ForeignFault { place: format!("byte {byte}"), reason: reason.into() }
+    }
+
+    /// A fault in a line of the file, counted from 1.
+    pub fn at_line(line: u64, reason: impl Into<String>) -> Self {
+        ForeignFault { place: format!("line {line}"), reason: reason.into() }
+    }
+
+    /// A fault at any other place.
+    pub fn at(place: impl Into<String>, reason: impl Into<String>) -> Self {
+        ForeignFault { place: place.into(), reason: reason.into() }
+    }
+}
+
+impl From<LasFault> for ForeignFault {
+    /// Faults of reading a file at all, which every format shares.
+    fn from(fault: LasFault) -> Self {
+        match fault {
+            LasFault::Io { action, source } => {
+                ForeignFault::at(format!("cannot {action}"), source.to_string())
+            }
+            LasFault::Shrunk { byte, wanted } => {
+                let reason = format!("the file ended while bytes {wanted:?} were read");
+                ForeignFault::at_byte(byte, reason)
+            }
+            other => ForeignFault::at_byte(0, other.to_string()),
+        }
+    }
+}
+
+/// Most rows in a block of any format.
+pub const MOST_BLOCK_ROWS: u64 = 65_536;
 
 /// An open file of a foreign format.
 pub trait ForeignReader: Debug + Send + Sync {

@@ -1,10 +1,13 @@
-//! Foreign scan files in: LAS and LAZ, as blocks of raw point records.
+//! Foreign scan files in, as blocks of raw point records.
 //!
-//! [`LasScan`] opens a file, tells what it claims and what it holds, and hands out its points as
-//! the records that stand in the file, block by block, from as many threads as ask. No byte of a
-//! file is trusted: lengths are checked before arithmetic and before allocation, and whatever is
-//! wrong becomes a [`LasError`] that names the file, the place and the reason. Nothing here knows
-//! the store or converts a coordinate.
+//! [`Scan`] opens a file of any format, tells what it claims and what it holds, and hands out its
+//! points as records, block by block, from as many threads as ask. No byte of a file is trusted:
+//! lengths are checked before arithmetic and before allocation, and whatever is wrong becomes a
+//! [`ScanError`] that names the file, the place and the reason. Nothing here knows the store.
+//!
+//! Files of the LAS family ([`LasScan`]) hand out the records that stand in them. Those of other
+//! formats are read by a [`ForeignReader`] and put on a lattice (`placing`, `foreign_scan`);
+//! `detect` says where a new format is registered.
 //!
 //! Source: ASPRS, "LAS Specification 1.4 - R15", 2019; Isenburg, "LASzip", 2013, whose decoder the
 //! crate `laz` provides. How a reader here goes beyond that crate stands in `laz_layout` and
@@ -14,29 +17,35 @@ mod crs;
 mod detect;
 mod error;
 mod foreign;
+mod foreign_scan;
 mod guard;
 mod header;
 mod las_layout;
 mod laz_decode;
 mod laz_layout;
+mod placing;
 mod point_format;
 mod positioned_file;
 mod scan;
+mod scan_file;
 mod template;
 mod vlr;
 
 pub use crs::Crs;
-pub use detect::{FileKind, detect};
-pub use error::{LasError, LasFault};
+pub use detect::{FileKind, ReadOptions, detect, scan_suffixes};
+pub use error::{LasError, LasFault, ScanError};
 pub use foreign::{
-    Column, CoordinateKind, ForeignFacts, ForeignFault, ForeignReader, Pose, RowBlock, RowBuffer,
-    ScanPart,
+    Column, CoordinateKind, ForeignFacts, ForeignFault, ForeignReader, MOST_BLOCK_ROWS, Pose,
+    RowBlock, RowBuffer, ScanPart,
 };
+pub use foreign_scan::ForeignScan;
 pub use guard::without_panic;
 pub use header::{LasHeader, ReturnCounts, place};
+pub use placing::{Placing, decimal_lattice, fine_lattice, reaches};
 pub use point_format::{ExtraBytes, PointFormat};
 pub use scan::{
     Block, BlockBuffer, BoundsFacts, LasScan, RecordSink, ScanFacts, ScanFormat, VlrFacts,
 };
+pub use scan_file::Scan;
 pub use template::{ByteRange, LasTemplate, NewScan};
 pub use vlr::{EVLR_HEADER_BYTES, VLR_HEADER_BYTES, Vlr, evlr_header};

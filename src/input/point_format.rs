@@ -183,7 +183,7 @@ fn scalar(index: u8) -> Scalar {
 }
 
 /// The name, or the name with the first free number behind it.
-fn unique(name: &str, taken: &mut HashSet<String>) -> String {
+pub(super) fn unique(name: &str, taken: &mut HashSet<String>) -> String {
     let mut candidate = name.to_string();
     let mut number = 2;
     while !taken.insert(candidate.clone()) {

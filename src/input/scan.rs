@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::crs::{self, Crs};
 use super::detect::open_regular;
 use super::error::{LasError, LasFault};
+use super::foreign::RowBuffer;
 use super::header::LasHeader;
 use super::las_layout::{Layout, las_layout};
 use super::laz_decode::decode_block;
@@ -107,9 +108,9 @@ pub struct Block {
     pub first_point: u64,
     /// Number of its points; the header's claim in a LAZ file without a chunk table.
     pub points: u64,
-    /// Where it stands in the file.
+    /// Where it stands in the file; empty in files outside the LAS family.
     pub bytes: Range<u64>,
-    /// Which LAZ chunk it is; 0 in LAS files.
+    /// Which LAZ chunk it is, or which block of a foreign reader; 0 in LAS files.
     pub(super) chunk: u64,
     /// Whether it is everything there is, chunk after chunk without a table.
     pub(super) is_sequence: bool,
@@ -124,8 +125,18 @@ impl Block {
         Block { first_point, points, bytes, chunk, is_sequence: false }
     }
 
+    /// A block of a foreign reader.
+    pub(super) fn rows(index: u64, first_point: u64, points: u64) -> Self {
+        Block { first_point, points, bytes: 0..0, chunk: index, is_sequence: false }
+    }
+
     pub(super) fn sequence(points: u64, bytes: Range<u64>) -> Self {
         Block { first_point: 0, points, bytes, chunk: 0, is_sequence: true }
+    }
+
+    /// Which block of a foreign reader it is.
+    pub(super) fn index(&self) -> usize {
+        self.chunk as usize
     }
 
     /// A fault of this LAZ chunk.
@@ -142,6 +153,9 @@ pub type RecordSink<'a, E> = dyn FnMut(u64, &[u8]) -> Result<(), E> + 'a;
 pub struct BlockBuffer {
     pub(super) window: Vec<u8>,
     pub(super) records: Vec<u8>,
+    pub(super) rows: RowBuffer,
+    /// For callers that change records before they hand them on.
+    pub adapted: Vec<u8>,
 }
 
 /// An open LAS or LAZ file.
@@ -315,6 +329,17 @@ impl LasScan {
         buffer: &mut BlockBuffer,
         sink: &mut RecordSink<'_, E>,
     ) -> Result<u64, E> {
+        self.read_block_as(block, buffer, sink, E::from)
+    }
+
+    /// The same for callers whose errors are not made from this file's.
+    pub(super) fn read_block_as<E>(
+        &self,
+        block: &Block,
+        buffer: &mut BlockBuffer,
+        sink: &mut RecordSink<'_, E>,
+        error_of: impl Fn(LasError) -> E,
+    ) -> Result<u64, E> {
         let mut sink_in = |first: u64, records: &[u8]| sink(first, records).map_err(Stop::Sink);
         let outcome = match &self.coding {
             Some(coding) => decode_block(&self.file, coding, block, buffer, &mut sink_in),
@@ -322,7 +347,7 @@ impl LasScan {
         };
         outcome.map_err(|stop| match stop {
             Stop::Sink(error) => error,
-            Stop::Fault(fault) => LasError::new(&self.path, fault).into(),
+            Stop::Fault(fault) => error_of(LasError::new(&self.path, fault)),
         })
     }
 

@@ -98,6 +98,14 @@ pub mod names {
     pub const GPS_TIME: &str = "gps_time";
     /// Wave packet descriptor index, offset, size, location and direction, 29 bytes as they are.
     pub const WAVE_PACKET: &str = "wave_packet";
+    /// Index into the store's sources of the file or scan that the point came from, u16 (u32 where
+    /// there are more than 65,535).
+    pub const SOURCE: &str = "source";
+    /// What is missing from the lattice position to the exact float, 3 x i32 (single precision) or
+    /// 3 x i64 (double precision); see [`exact_position`](super::super::exact_position).
+    pub const COORDINATE_RESIDUAL: &str = "coordinate_residual";
+    /// Surface normal, 3 x f32 (3 x f64 where the file has that).
+    pub const NORMAL: &str = "normal";
 }
 
 /// All columns of a record.

@@ -17,11 +17,8 @@ use crate::build::sources::{Batch, Sources, Survey};
 use crate::build::spill::{SpillFile, StreamId};
 use crate::build::subtree::{Subtree, TreeRules};
 use crate::geometry::MortonKey;
-use crate::input::ScanFormat;
 use crate::points::Schema;
-use crate::store::{
-    AppendixPart, CrsInfo, Metadata, SourceInfo, StoreWriter, ValueRange, sections_for,
-};
+use crate::store::{Metadata, StoreWriter, ValueRange, sections_for};
 
 /// What a conversion did.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
@@ -105,7 +102,7 @@ const TAIL_SHARE: f64 = 0.06;
 
 impl Conversion<'_> {
     fn run(&self, inputs: &[PathBuf]) -> Result<ConvertReport, BuildError> {
-        let sources = Sources::open(inputs)?;
+        let sources = Sources::open(inputs, &self.options.read)?;
         let schema = sources.schema();
         // In memory a point is its record and a sort entry, and its encoded bytes wait, too.
         let held_bytes =
@@ -139,14 +136,13 @@ impl Conversion<'_> {
             self.build::<u128>(&sources, &rules, first)?
         };
         self.progress.begin(Stage::Write, survey.points);
-        let (source_infos, appendix) = describe_sources(&sources, &points_of_source);
+        let described = sources.describe(&points_of_source);
         let has_points = survey.points > 0;
         let lattice = sources.lattice();
-        let crs = sources.scans()[0].facts().crs.clone();
         let metadata = Metadata {
             generator: concat!("esker ", env!("CARGO_PKG_VERSION")).into(),
             points: survey.points,
-            dropped_points: 0,
+            dropped_points: described.dropped_points,
             scale: lattice.scale.to_array(),
             offset: lattice.offset.to_array(),
             root_min: if has_points { survey.min } else { [0; 3] },
@@ -160,13 +156,17 @@ impl Conversion<'_> {
             schema: schema.clone(),
             attribute_ranges: finite(built.ranges),
             sections: sections.clone(),
-            crs: CrsInfo { epsg: crs.epsg, wkt: crs.wkt },
-            sources: source_infos,
+            crs: described.crs,
+            sources: described.infos,
         };
         let nodes = built.nodes;
         let temporary_bytes = built.temporary_bytes + built.writer.spilled_bytes();
-        let output_bytes =
-            built.writer.finish(self.output, &metadata, &appendix, self.options.overwrite)?;
+        let output_bytes = built.writer.finish(
+            self.output,
+            &metadata,
+            &described.appendix,
+            self.options.overwrite,
+        )?;
         self.progress.advance(survey.points);
         let warnings = metadata
             .sources
@@ -483,39 +483,6 @@ impl Progress for StagedProgress<'_> {
             }
         }
     }
-}
-
-fn describe_sources(
-    sources: &Sources,
-    points_of_source: &[u64],
-) -> (Vec<SourceInfo>, Vec<AppendixPart>) {
-    let mut infos = Vec::new();
-    let mut parts = Vec::new();
-    for (scan, &points) in sources.scans().iter().zip(points_of_source) {
-        let (facts, template) = (scan.facts(), scan.template());
-        let name = scan.path().file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let kind = match facts.format {
-            ScanFormat::Las => "las",
-            ScanFormat::Laz => "laz",
-        };
-        infos.push(SourceInfo {
-            name,
-            format: format!("{kind} {}", facts.version),
-            point_format: facts.point_format,
-            points,
-            warnings: facts.warnings.clone(),
-            header_bytes: template.header_bytes().len() as u64,
-            vlr_bytes: template.vlr_bytes().len() as u64,
-            evlr_bytes: template.evlrs().iter().map(|range| range.end - range.start).sum(),
-        });
-        parts.push(AppendixPart::Bytes(template.header_bytes().to_vec()));
-        parts.push(AppendixPart::Bytes(template.vlr_bytes().to_vec()));
-        for range in template.evlrs() {
-            let (offset, bytes) = (range.start, range.end - range.start);
-            parts.push(AppendixPart::FileRange { path: scan.path().into(), offset, bytes });
-        }
-    }
-    (infos, parts)
 }
 
 fn temporary(action: &'static str, source: std::io::Error, path: &Path) -> BuildError {

@@ -3,7 +3,7 @@
 use std::io;
 use std::path::PathBuf;
 
-use crate::input::LasError;
+use crate::input::ScanError;
 use crate::store::StoreError;
 
 /// A conversion failed; nothing is left under the output's name.
@@ -12,21 +12,13 @@ use crate::store::StoreError;
 pub enum BuildError {
     /// An input file is bad.
     #[error(transparent)]
-    Input(#[from] LasError),
+    Input(#[from] ScanError),
     /// The store could not be written.
     #[error(transparent)]
     Store(#[from] StoreError),
     /// Nothing to convert.
     #[error("no scan files among the inputs")]
     NoInput,
-    /// Inputs that cannot stand in one store.
-    #[error("{path}: {reason}", path = path.display())]
-    Mixed {
-        /// Why not.
-        reason: String,
-        /// The file that does not fit the first.
-        path: PathBuf,
-    },
     /// Points lie too far apart for 32 bits per axis on their lattice.
     #[error("{path}: points span {steps} lattice steps along one axis, at most 4294967296 fit", path = path.display())]
     TooWide {

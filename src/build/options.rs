@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use crate::build::Representative;
+use crate::input::ReadOptions;
 
 /// Settings of a conversion.
 #[derive(Clone, Debug)]
@@ -24,6 +25,8 @@ pub struct ConvertOptions {
     pub threshold: u32,
     /// How representatives are chosen.
     pub representative: Representative,
+    /// How inputs are to be read where they do not tell.
+    pub read: ReadOptions,
 }
 
 impl Default for ConvertOptions {
@@ -36,6 +39,7 @@ impl Default for ConvertOptions {
             depth: 7,
             threshold: 1000,
             representative: Representative::Color,
+            read: ReadOptions::default(),
         }
     }
 }

@@ -19,7 +19,7 @@ use crate::geometry::Aabb;
 use crate::ids::NodeId;
 use crate::input::LasTemplate;
 use crate::output::{Compression, LasWriter};
-use crate::points::{names, record_coordinates};
+use crate::points::{Attribute, Schema, names, record_coordinates};
 use crate::store::{Store, StoreError};
 
 /// Arguments of `esker export`.
@@ -69,7 +69,9 @@ pub fn run(args: ExportArgs) -> anyhow::Result<ExitCode> {
     }
     let (template, evlr_offset) = template_of(&store)?;
     let schema = &store.metadata().schema;
-    let mut writer = LasWriter::create(&args.output, &template, schema, compression)?;
+    let source_bytes = source_bytes(schema);
+    let own = Schema { record_bytes: schema.record_bytes - source_bytes as u32, ..schema.clone() };
+    let mut writer = LasWriter::create(&args.output, &template, &own, compression)?;
     let selection = Selection::new(&args, &store)?;
     let nodes: Vec<NodeId> = (0..store.octree().nodes().len() as u32)
         .map(NodeId)
@@ -86,6 +88,7 @@ pub fn run(args: ExportArgs) -> anyhow::Result<ExitCode> {
                 let mut records = Vec::new();
                 store.read_records(node, &mut records)?;
                 selection.keep_points(&store, &mut records);
+                cut_tails(&mut records, schema.record_bytes as usize, source_bytes);
                 Ok(records)
             })
             .collect();
@@ -114,6 +117,25 @@ fn compression_of(path: &Path) -> anyhow::Result<Compression> {
         Some("laz") => Ok(Compression::Laz),
         _ => bail!("{}: export writes .las and .laz files", path.display()),
     }
+}
+
+/// Bytes at the end of records that tell which of several files a point came from.
+fn source_bytes(schema: &Schema) -> usize {
+    let last = schema.attributes.last().filter(|last| last.name == names::SOURCE);
+    last.map_or(0, Attribute::bytes)
+}
+
+/// Removes the last bytes of each record.
+fn cut_tails(records: &mut Vec<u8>, record_bytes: usize, tail_bytes: usize) {
+    if tail_bytes == 0 {
+        return;
+    }
+    let kept = record_bytes - tail_bytes;
+    let count = records.len() / record_bytes;
+    for row in 1..count {
+        records.copy_within(row * record_bytes..row * record_bytes + kept, row * kept);
+    }
+    records.truncate(count * kept);
 }
 
 /// Header and records of the first input, and where its extended records stand in the appendix.
@@ -146,8 +168,9 @@ impl Selection {
         if !args.class.is_empty() && class.is_none() {
             bail!("{}: its points have no class", args.store.display());
         }
-        // In formats up to 5 the upper bits of the class byte are flags.
-        let old_format = metadata.sources.first().is_some_and(|source| source.point_format <= 5);
+        // In formats up to 5 the upper bits of the class byte are flags; later ones have a byte.
+        let is_las = metadata.sources.iter().any(|source| source.point_format.is_some());
+        let old_format = is_las && metadata.schema.find(names::FLAGS).is_none();
         let class_bits = if old_format { 0x1f } else { 0xff };
         let lattice = metadata.lattice();
         let steps = args.bounds.map(|bounds| {

@@ -25,7 +25,10 @@ impl Scan {
     pub fn open(path: &Path, options: &ReadOptions) -> Result<Self, ScanError> {
         let foreign = |fault| ScanError::foreign(path, fault);
         let (file, head) = open_with_head(path).map_err(|fault| foreign(fault.into()))?;
-        if las_kind(&head).is_some() {
+        let suffix = path.extension().map(|suffix| suffix.to_ascii_lowercase());
+        let named_las = suffix.is_some_and(|suffix| suffix == "las" || suffix == "laz");
+        // What calls itself a LAS file and is none is told so.
+        if las_kind(&head).is_some() || named_las {
             return Ok(Scan::Las(Box::new(LasScan::open(path)?)));
         }
         let format = format_of(path, &head).ok_or_else(|| {

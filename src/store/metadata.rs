@@ -98,16 +98,16 @@ pub struct CrsInfo {
     pub wkt: Option<String>,
 }
 
-/// One input file.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// One source: an input file, or one scan of a file that holds several.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SourceInfo {
     /// File name without folders.
     pub name: String,
     /// Format and version, such as `laz 1.4`.
     pub format: String,
-    /// LAS point format.
-    pub point_format: u8,
-    /// Points read from it.
+    /// LAS point format of the file's records; none for other formats.
+    pub point_format: Option<u8>,
+    /// Points read from it, dropped ones included.
     pub points: u64,
     /// What its header said and the points did not bear out, in words.
     pub warnings: Vec<String>,
@@ -117,6 +117,59 @@ pub struct SourceInfo {
     pub vlr_bytes: u64,
     /// See `header_bytes`.
     pub evlr_bytes: u64,
+    /// What the file calls this scan.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scan: Option<String>,
+    /// Place of the scan in its file, where that holds several.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scan_index: Option<u32>,
+    /// Where the scanner stood; applied to the coordinates.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pose: Option<PoseInfo>,
+    /// Attributes of the schema that are its own; all of them without a list. The others are 0 in
+    /// its points.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub attributes: Option<Vec<String>>,
+    /// Points that are not in the store, by reason.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub dropped: Vec<DroppedPoints>,
+    /// What else the file holds and the store does not.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub skipped: Vec<SkippedItems>,
+}
+
+impl SourceInfo {
+    /// Points of it that are not in the store.
+    pub fn dropped_points(&self) -> u64 {
+        self.dropped.iter().map(|dropped| dropped.points).fold(0, u64::saturating_add)
+    }
+}
+
+/// Points left out for one reason.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DroppedPoints {
+    /// Why.
+    pub reason: String,
+    /// How many.
+    pub points: u64,
+}
+
+/// Parts of a file that are no points, such as faces or images.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SkippedItems {
+    /// What they are.
+    pub what: String,
+    /// How many.
+    pub count: u64,
+}
+
+/// Scan coordinates to world coordinates.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PoseInfo {
+    /// Unit quaternion w, x, y, z, applied first.
+    pub rotation: [f64; 4],
+    /// Position of the scanner, applied second.
+    pub translation: [f64; 3],
 }
 
 /// All metadata of a store.

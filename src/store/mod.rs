@@ -3,6 +3,7 @@
 //! Header, metadata, node directory, node data, appendix (`FORMAT.md`). Each node's positions,
 //! colours and further attributes are separate, separately compressed and checksummed sections.
 
+mod account;
 mod check;
 mod codec;
 mod directory;
@@ -19,8 +20,8 @@ pub use directory::SectionExtent;
 pub use error::{NodeReadError, StoreError};
 pub use header::{HEADER_BYTES, Header, MAGIC, PartExtent, VERSION};
 pub use metadata::{
-    CrsInfo, Metadata, NARROW_BITS, Section, SectionContent, SourceInfo, ValueRange,
-    position_shape, sections_for,
+    CrsInfo, DroppedPoints, Metadata, NARROW_BITS, PoseInfo, Section, SectionContent, SkippedItems,
+    SourceInfo, ValueRange, position_shape, sections_for,
 };
 pub use reader::{Store, is_store};
 pub use records::RecordError;

@@ -1,0 +1,107 @@
+//! What a store tells about each source.
+
+use crate::build::sources::{Source, Sources};
+use crate::input::{ForeignFacts, Pose, Scan};
+use crate::store::{AppendixPart, CrsInfo, DroppedPoints, PoseInfo, SkippedItems, SourceInfo};
+
+/// What is to stand in the metadata and the appendix about the sources.
+#[derive(Debug, Default)]
+pub struct Described {
+    /// One per file, or per scan in files of several.
+    pub infos: Vec<SourceInfo>,
+    /// Headers and records of the files, in the order of `infos`.
+    pub appendix: Vec<AppendixPart>,
+    /// The first reference system that a file tells.
+    pub crs: CrsInfo,
+    /// Points of all sources that are not in the store.
+    pub dropped_points: u64,
+}
+
+impl Sources {
+    /// Describes all sources; `points_of_file` is what was read of each file.
+    pub fn describe(&self, points_of_file: &[u64]) -> Described {
+        let mut described = Described::default();
+        for (source, &points) in self.scans().iter().zip(points_of_file) {
+            match &source.scan {
+                Scan::Las(_) => describe_las(source, points, &mut described),
+                Scan::Foreign(scan) => describe_foreign(source, scan.facts(), &mut described),
+            }
+        }
+        let dropped = described.infos.iter().flat_map(|info| &info.dropped);
+        described.dropped_points = dropped.map(|dropped| dropped.points).sum();
+        let told = self.scans().iter().map(|source| source.scan.crs());
+        let crs = told.into_iter().find(|crs| crs.epsg.is_some() || crs.wkt.is_some());
+        described.crs =
+            crs.map_or(CrsInfo::default(), |crs| CrsInfo { epsg: crs.epsg, wkt: crs.wkt.clone() });
+        described
+    }
+}
+
+/// What is the same for all formats.
+fn common(source: &Source, points: u64) -> SourceInfo {
+    let name = source.path().file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let warnings = source.scan.warnings().iter().chain(&source.warnings).cloned().collect();
+    SourceInfo {
+        name,
+        format: source.scan.format(),
+        points,
+        warnings,
+        attributes: source.own_attributes.clone(),
+        ..SourceInfo::default()
+    }
+}
+
+fn describe_las(source: &Source, points: u64, described: &mut Described) {
+    let Some(scan) = source.scan.las() else { return };
+    let template = scan.template();
+    described.infos.push(SourceInfo {
+        point_format: Some(scan.facts().point_format),
+        header_bytes: template.header_bytes().len() as u64,
+        vlr_bytes: template.vlr_bytes().len() as u64,
+        evlr_bytes: template.evlrs().iter().map(|range| range.end - range.start).sum(),
+        ..common(source, points)
+    });
+    described.appendix.push(AppendixPart::Bytes(template.header_bytes().to_vec()));
+    described.appendix.push(AppendixPart::Bytes(template.vlr_bytes().to_vec()));
+    for range in template.evlrs() {
+        let (offset, bytes) = (range.start, range.end - range.start);
+        described.appendix.push(AppendixPart::FileRange {
+            path: source.path().into(),
+            offset,
+            bytes,
+        });
+    }
+}
+
+fn describe_foreign(source: &Source, facts: &ForeignFacts, described: &mut Described) {
+    let mut kept = vec![0u64; facts.parts.len()];
+    for block in &facts.blocks {
+        kept[block.part as usize] += block.points;
+    }
+    for (index, part) in facts.parts.iter().enumerate() {
+        let mut info = common(source, part.points);
+        let dropped = part.points - kept[index].min(part.points);
+        if dropped > 0 {
+            let reason = "a coordinate is not finite or is marked invalid".to_string();
+            info.dropped.push(DroppedPoints { reason, points: dropped });
+        }
+        info.scan = part.name.clone();
+        info.scan_index = (facts.parts.len() > 1).then_some(index as u32);
+        info.pose = part.pose.map(pose_info);
+        // What belongs to the file stands with its first scan only.
+        if index == 0 {
+            let skipped = facts.skipped.iter();
+            info.skipped = skipped
+                .map(|(what, count)| SkippedItems { what: what.clone(), count: *count })
+                .collect();
+        } else {
+            info.warnings.clear();
+        }
+        described.infos.push(info);
+    }
+}
+
+fn pose_info(pose: Pose) -> PoseInfo {
+    let [x, y, z, w] = pose.rotation.to_array();
+    PoseInfo { rotation: [w, x, y, z], translation: pose.translation.to_array() }
+}

@@ -1,0 +1,325 @@
+//! One record layout for sources of several: the union of their attributes by name.
+//!
+//! Types are widened where sources differ. The older point formats of LAS (0 to 5) pack returns,
+//! flags and classes otherwise than the newer ones; beside newer ones, or beside other formats that
+//! give classes of their own, they are taken over into the newer layout.
+//!
+//! Source: ASPRS, "LAS Specification 1.4 - R15", tables 7, 8, 13 and 15.
+
+use std::collections::HashSet;
+
+use crate::input::Scan;
+use crate::points::{Attribute, COORDINATE_BYTES, Scalar, Schema, names};
+
+/// How the bytes of one attribute come into a record.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Move {
+    /// Bytes as they are.
+    Copy {
+        /// Place in the source's record.
+        from: usize,
+        /// Place in the store's record.
+        to: usize,
+        /// How many.
+        bytes: usize,
+    },
+    /// Components of another type.
+    Convert {
+        /// Place and type in the source's record.
+        from: (usize, Scalar),
+        /// Place and type in the store's record.
+        to: (usize, Scalar),
+        /// Components.
+        components: usize,
+    },
+    /// Three bits each of return number and number of returns to four bits each.
+    Returns {
+        /// See [`Move::Copy`].
+        from: usize,
+        /// See [`Move::Copy`].
+        to: usize,
+    },
+    /// Flags out of the upper bits of returns and class.
+    Flags {
+        /// Place of the returns in the source's record.
+        returns: usize,
+        /// Place of the class in the source's record.
+        class: usize,
+        /// See [`Move::Copy`].
+        to: usize,
+    },
+    /// The class without the flags in its upper bits.
+    Class {
+        /// See [`Move::Copy`].
+        from: usize,
+        /// See [`Move::Copy`].
+        to: usize,
+    },
+    /// Whole degrees to units of 0.006 degrees.
+    ScanAngle {
+        /// See [`Move::Copy`].
+        from: usize,
+        /// See [`Move::Copy`].
+        to: usize,
+    },
+}
+
+/// The store's layout, and for each source how its records come into it.
+#[derive(Debug)]
+pub struct UnionLayout {
+    /// Columns of the store's records; without `source`.
+    pub schema: Schema,
+    /// Per source, what to do; attributes that no move fills are 0.
+    pub moves: Vec<Vec<Move>>,
+    /// Per source, the attributes that it has of its own.
+    pub own: Vec<Vec<String>>,
+    /// Per source, what widening changed.
+    pub warnings: Vec<Vec<String>>,
+}
+
+/// An attribute of a source under the name and type that it brings to the union.
+struct Offer {
+    key: Offered,
+    scalar: Scalar,
+    origin: Origin,
+}
+
+/// What makes attributes of several sources one: name and number of components.
+type Offered = (String, u16);
+
+/// Where its value comes from.
+#[derive(Clone, Copy)]
+enum Origin {
+    Plain(usize),
+    Returns(usize),
+    Flags(usize, usize),
+    Class(usize),
+    ScanAngle(usize),
+}
+
+/// Lays out the union of all scans' attributes.
+pub fn union_layout(scans: &[Scan]) -> UnionLayout {
+    let promoted = needs_promotion(scans);
+    let offers: Vec<Vec<Offer>> = scans.iter().map(|scan| offers_of(scan, promoted)).collect();
+    let mut columns: Vec<(Offered, Scalar)> = Vec::new();
+    // Files of the LAS family first: theirs is the order in which standard attributes stand.
+    let of = |las: bool| {
+        let pairs = scans.iter().zip(&offers);
+        pairs.filter(move |(scan, _)| scan.las().is_some() == las).flat_map(|(_, offers)| offers)
+    };
+    for offer in of(true).chain(of(false)) {
+        match columns.iter_mut().find(|(key, _)| *key == offer.key) {
+            Some((_, scalar)) => *scalar = wider(*scalar, offer.scalar),
+            None => columns.push((offer.key.clone(), offer.scalar)),
+        }
+    }
+    let schema = schema_of(&columns);
+    let place_of = |offer: &Offer| {
+        let index = columns.iter().position(|(key, _)| *key == offer.key);
+        &schema.attributes[index.expect("every offer was taken in")]
+    };
+    let (mut moves, mut own, mut warnings) = (Vec::new(), Vec::new(), Vec::new());
+    for offers in &offers {
+        let mut told = Vec::new();
+        let mut names = Vec::new();
+        let of_source = offers.iter().map(|offer| {
+            let attribute = place_of(offer);
+            names.push(attribute.name.clone());
+            if loses(offer.scalar, attribute.scalar) {
+                told.push(format!(
+                    "values of \"{}\" beyond 2^53 are rounded, because another source has \
+                     fractions",
+                    attribute.name
+                ));
+            }
+            move_of(offer, attribute)
+        });
+        moves.push(joined(of_source.collect()));
+        own.push(names);
+        warnings.push(told);
+    }
+    UnionLayout { schema, moves, own, warnings }
+}
+
+/// Whether older LAS records must become newer ones.
+fn needs_promotion(scans: &[Scan]) -> bool {
+    let formats = || scans.iter().filter_map(Scan::las).map(|las| las.header().point_format);
+    let has_old = formats().any(|format| !format.is_extended());
+    let has_new = formats().any(|format| format.is_extended());
+    let clashes = |scan: &Scan| {
+        let packed = [names::RETURNS, names::FLAGS, names::CLASSIFICATION, names::SCAN_ANGLE];
+        scan.las().is_none() && packed.iter().any(|name| scan.schema().find(name).is_some())
+    };
+    has_old && (has_new || scans.iter().any(clashes))
+}
+
+fn offers_of(scan: &Scan, promoted: bool) -> Vec<Offer> {
+    let schema = scan.schema();
+    let is_old = scan.las().is_some_and(|las| !las.header().point_format.is_extended());
+    let place = |name| schema.find(name).map_or(0, |(_, a)| a.record_offset as usize);
+    let mut offers = Vec::new();
+    for (index, attribute) in schema.attributes.iter().enumerate() {
+        let at = attribute.record_offset as usize;
+        let mut offer = Offer {
+            key: (attribute.name.clone(), attribute.components),
+            scalar: attribute.scalar,
+            origin: Origin::Plain(at),
+        };
+        if scan.las().is_some() && RESERVED.contains(&offer.key.0.as_str()) {
+            // Extra bytes of that name do not mean this store's sources and lattice.
+            offer.key.0.push_str("_2");
+        }
+        // The standard fields of old formats stand first; extra bytes never have their names.
+        if promoted && is_old && index < 6 {
+            match attribute.name.as_str() {
+                names::RETURNS => {
+                    offer.origin = Origin::Returns(at);
+                    offers.push(offer);
+                    offer = Offer {
+                        key: (names::FLAGS.into(), 1),
+                        scalar: Scalar::U8,
+                        origin: Origin::Flags(at, place(names::CLASSIFICATION)),
+                    };
+                }
+                names::CLASSIFICATION => offer.origin = Origin::Class(at),
+                names::SCAN_ANGLE => {
+                    offer.scalar = Scalar::I16;
+                    offer.origin = Origin::ScanAngle(at);
+                }
+                _ => {}
+            }
+        }
+        offers.push(offer);
+    }
+    offers
+}
+
+/// Names that conversion gives a meaning of its own.
+const RESERVED: [&str; 2] = [names::SOURCE, names::COORDINATE_RESIDUAL];
+
+/// The columns one after the other. Those of one name and several widths tell the width.
+fn schema_of(columns: &[(Offered, Scalar)]) -> Schema {
+    let mut taken = HashSet::new();
+    let mut at = COORDINATE_BYTES;
+    let mut attributes = Vec::with_capacity(columns.len());
+    for ((name, components), scalar) in columns {
+        let mut name = name.clone();
+        while !taken.insert(name.clone()) {
+            name = format!("{name}_x{components}");
+        }
+        let record_offset = at as u32;
+        let attribute = Attribute { name, scalar: *scalar, components: *components, record_offset };
+        at += attribute.bytes();
+        attributes.push(attribute);
+    }
+    Schema { record_bytes: at as u32, attributes }
+}
+
+fn move_of(offer: &Offer, attribute: &Attribute) -> Move {
+    let to = attribute.record_offset as usize;
+    match offer.origin {
+        Origin::Plain(from) if offer.scalar == attribute.scalar => {
+            Move::Copy { from, to, bytes: attribute.bytes() }
+        }
+        Origin::Plain(from) => Move::Convert {
+            from: (from, offer.scalar),
+            to: (to, attribute.scalar),
+            components: usize::from(attribute.components),
+        },
+        Origin::Returns(from) => Move::Returns { from, to },
+        Origin::Flags(returns, class) => Move::Flags { returns, class, to },
+        Origin::Class(from) => Move::Class { from, to },
+        Origin::ScanAngle(from) => Move::ScanAngle { from, to },
+    }
+}
+
+/// Copies of neighbouring bytes as one.
+fn joined(moves: Vec<Move>) -> Vec<Move> {
+    let mut joined: Vec<Move> = Vec::new();
+    for next in moves {
+        if let (
+            Some(Move::Copy { from, to, bytes }),
+            Move::Copy { from: next_from, to: next_to, bytes: more },
+        ) = (joined.last_mut(), &next)
+            && (*from + *bytes, *to + *bytes) == (*next_from, *next_to)
+        {
+            *bytes += more;
+            continue;
+        }
+        joined.push(next);
+    }
+    joined
+}
+
+/// The smallest type that holds all values of both; f64 where there is none.
+pub fn wider(a: Scalar, b: Scalar) -> Scalar {
+    use Scalar::*;
+    if a == b {
+        return a;
+    }
+    let integer = |scalar| match scalar {
+        U8 => Some((8, false)),
+        I8 => Some((8, true)),
+        U16 => Some((16, false)),
+        I16 => Some((16, true)),
+        U32 => Some((32, false)),
+        I32 => Some((32, true)),
+        U64 => Some((64, false)),
+        I64 => Some((64, true)),
+        F32 | F64 => None,
+    };
+    match (integer(a), integer(b)) {
+        (Some((a_bits, a_signed)), Some((b_bits, b_signed))) => {
+            let signed = a_signed || b_signed;
+            let need = |bits: u32, is_signed: bool| bits + u32::from(signed && !is_signed);
+            match (signed, need(a_bits, a_signed).max(need(b_bits, b_signed))) {
+                (false, 0..=8) => U8,
+                (false, 9..=16) => U16,
+                (false, 17..=32) => U32,
+                (false, _) => U64,
+                (true, 0..=8) => I8,
+                (true, 9..=16) => I16,
+                (true, 17..=32) => I32,
+                (true, 33..=64) => I64,
+                (true, _) => F64,
+            }
+        }
+        (Some((bits, _)), None) if bits <= 16 && b == F32 => F32,
+        (None, Some((bits, _))) if bits <= 16 && a == F32 => F32,
+        _ => F64,
+    }
+}
+
+/// Whether some values of a type do not fit another.
+fn loses(from: Scalar, to: Scalar) -> bool {
+    matches!((from, to), (Scalar::U64 | Scalar::I64, Scalar::F64))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use Scalar::*;
+
+    #[test]
+    fn wider_types_hold_both() {
+        assert_eq!(wider(U8, U16), U16);
+        assert_eq!(wider(U8, I8), I16);
+        assert_eq!(wider(U16, I32), I32);
+        assert_eq!(wider(U32, I32), I64);
+        assert_eq!(wider(U64, I8), F64);
+        assert_eq!(wider(U16, F32), F32);
+        assert_eq!(wider(I32, F32), F64);
+        assert_eq!(wider(F32, F64), F64);
+        for scalar in [U8, I8, U16, I16, U32, I32, U64, I64, F32, F64] {
+            assert_eq!(wider(scalar, scalar), scalar);
+            assert_eq!(wider(scalar, F64), F64);
+        }
+    }
+
+    #[test]
+    fn neighbouring_copies_are_one() {
+        let copy = |from, to, bytes| Move::Copy { from, to, bytes };
+        let moves = vec![copy(12, 12, 2), copy(14, 14, 1), copy(15, 20, 1), copy(16, 21, 4)];
+        assert_eq!(joined(moves), [copy(12, 12, 3), copy(15, 20, 5)]);
+    }
+}

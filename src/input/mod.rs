@@ -29,6 +29,7 @@ mod positioned_file;
 mod scan;
 mod scan_file;
 mod template;
+mod text;
 mod vlr;
 
 pub use crs::Crs;
@@ -43,9 +44,11 @@ pub use guard::without_panic;
 pub use header::{LasHeader, ReturnCounts, place};
 pub use placing::{Placing, decimal_lattice, fine_lattice, reaches};
 pub use point_format::{ExtraBytes, PointFormat};
+pub use positioned_file::PositionedFile;
 pub use scan::{
     Block, BlockBuffer, BoundsFacts, LasScan, RecordSink, ScanFacts, ScanFormat, VlrFacts,
 };
 pub use scan_file::Scan;
 pub use template::{ByteRange, LasTemplate, NewScan};
+pub use text::{BadRows, ColumnList, HEAD_BYTES, TextKind, TextOptions, TextReader, detect_text};
 pub use vlr::{EVLR_HEADER_BYTES, VLR_HEADER_BYTES, Vlr, evlr_header};

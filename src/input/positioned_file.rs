@@ -12,11 +12,18 @@ use super::error::LasFault;
 /// An open file and its length when it was opened.
 #[derive(Debug)]
 pub struct PositionedFile {
-    #[cfg(any(unix, windows))]
-    file: File,
-    #[cfg(not(any(unix, windows)))]
-    file: std::sync::Mutex<File>,
+    backing: Backing,
     bytes: u64,
+}
+
+/// What the bytes are read from.
+#[derive(Debug)]
+enum Backing {
+    #[cfg(any(unix, windows))]
+    File(File),
+    #[cfg(not(any(unix, windows)))]
+    File(std::sync::Mutex<File>),
+    Memory(Vec<u8>),
 }
 
 impl PositionedFile {
@@ -24,7 +31,13 @@ impl PositionedFile {
     pub fn new(file: File, bytes: u64) -> Self {
         #[cfg(not(any(unix, windows)))]
         let file = std::sync::Mutex::new(file);
-        PositionedFile { file, bytes }
+        PositionedFile { backing: Backing::File(file), bytes }
+    }
+
+    /// Bytes that are no file, read as if they were one.
+    pub fn in_memory(bytes: Vec<u8>) -> Self {
+        let length = bytes.len() as u64;
+        PositionedFile { backing: Backing::Memory(bytes), bytes: length }
     }
 
     /// Length when it was opened.
@@ -35,7 +48,16 @@ impl PositionedFile {
     /// Reads some bytes at a place; 0 at the end of the file.
     pub fn read_at(&self, buffer: &mut [u8], byte: u64) -> io::Result<usize> {
         loop {
-            match self.read_once(buffer, byte) {
+            let answer = match &self.backing {
+                Backing::File(file) => Self::read_once(file, buffer, byte),
+                Backing::Memory(bytes) => {
+                    let start = usize::try_from(byte).map_or(bytes.len(), |b| b.min(bytes.len()));
+                    let count = buffer.len().min(bytes.len() - start);
+                    buffer[..count].copy_from_slice(&bytes[start..start + count]);
+                    Ok(count)
+                }
+            };
+            match answer {
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 answer => return answer,
             }
@@ -43,19 +65,19 @@ impl PositionedFile {
     }
 
     #[cfg(unix)]
-    fn read_once(&self, buffer: &mut [u8], byte: u64) -> io::Result<usize> {
-        std::os::unix::fs::FileExt::read_at(&self.file, buffer, byte)
+    fn read_once(file: &File, buffer: &mut [u8], byte: u64) -> io::Result<usize> {
+        std::os::unix::fs::FileExt::read_at(file, buffer, byte)
     }
 
     #[cfg(windows)]
-    fn read_once(&self, buffer: &mut [u8], byte: u64) -> io::Result<usize> {
-        std::os::windows::fs::FileExt::seek_read(&self.file, buffer, byte)
+    fn read_once(file: &File, buffer: &mut [u8], byte: u64) -> io::Result<usize> {
+        std::os::windows::fs::FileExt::seek_read(file, buffer, byte)
     }
 
     #[cfg(not(any(unix, windows)))]
-    fn read_once(&self, buffer: &mut [u8], byte: u64) -> io::Result<usize> {
+    fn read_once(file: &std::sync::Mutex<File>, buffer: &mut [u8], byte: u64) -> io::Result<usize> {
         use std::io::{Read, Seek, SeekFrom};
-        let mut file = self.file.lock().map_err(|_| io::Error::other("a reader panicked"))?;
+        let mut file = file.lock().map_err(|_| io::Error::other("a reader panicked"))?;
         file.seek(SeekFrom::Start(byte))?;
         file.read(buffer)
     }

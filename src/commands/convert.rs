@@ -12,6 +12,7 @@ use crate::build::{self, ConvertOptions, DEPTH_RANGE, Representative};
 use crate::commands::inputs;
 use crate::commands::progress::{ProgressKind, listener};
 use crate::commands::quantities::{parse_bytes, show_bytes};
+use crate::input::{ColumnList, ReadOptions};
 use crate::metrics::peak_rss_bytes;
 
 /// Arguments of `esker convert`.
@@ -45,6 +46,10 @@ pub struct ConvertArgs {
     /// Which point of a cell stands for it
     #[arg(long, value_enum, default_value_t)]
     representative: Representative,
+    /// Columns of text files: names separated by commas, `skip` for one to leave out
+    /// [default: those of the header, or guessed]
+    #[arg(long, value_name = "x,y,z,...", value_parser = parse_columns)]
+    columns: Option<String>,
     /// How progress is shown on standard error
     #[arg(long, value_enum, default_value = "bar")]
     progress: ProgressKind,
@@ -64,6 +69,7 @@ pub fn run(args: ConvertArgs) -> anyhow::Result<ExitCode> {
         depth: args.depth,
         threshold: args.threshold,
         representative: args.representative,
+        read: ReadOptions { columns: args.columns, ..ReadOptions::default() },
         ..ConvertOptions::default()
     };
     if let Some(memory) = args.memory {
@@ -104,6 +110,11 @@ pub fn run(args: ConvertArgs) -> anyhow::Result<ExitCode> {
         );
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Checks a list of columns before any file is opened.
+pub(super) fn parse_columns(text: &str) -> Result<String, String> {
+    text.parse::<ColumnList>().map(|_| text.to_string())
 }
 
 /// A flag that SIGINT, SIGTERM and SIGHUP set.

@@ -11,6 +11,7 @@ use std::path::Path;
 use super::error::{LasError, LasFault};
 use super::foreign::{ForeignFault, ForeignReader};
 use super::positioned_file::PositionedFile;
+use super::text;
 
 /// What a file is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,6 +27,12 @@ pub enum FileKind {
     Pcd,
     /// An ASTM E57 file.
     E57,
+    /// PTS text.
+    Pts,
+    /// PTX text.
+    Ptx,
+    /// Rows of numbers: XYZ, CSV and their kin.
+    Text,
     /// Something else.
     Other,
 }
@@ -35,10 +42,11 @@ pub enum FileKind {
 pub struct ReadOptions {
     /// Names of the columns of text files, separated by commas, where they are not to be guessed.
     pub columns: Option<String>,
+    /// Leave out lines that are no rows, and count them, instead of refusing the file.
+    pub salvage: bool,
 }
 
 /// The first bytes of a file and the end of its name.
-#[allow(dead_code, reason = "the first entry of FORMATS reads them")]
 pub(super) struct Signs<'a> {
     /// At most [`HEAD_BYTES`] bytes; fewer only if the file is that short.
     pub head: &'a [u8],
@@ -61,7 +69,17 @@ pub(super) struct Format {
 }
 
 /// All formats outside the LAS family, in the order in which they are asked.
-pub(super) const FORMATS: &[Format] = &[];
+pub(super) const FORMATS: &[Format] = &[
+    Format { kind: FileKind::Pts, suffixes: &["pts"], claims: text::claims_pts, open: text::open },
+    Format { kind: FileKind::Ptx, suffixes: &["ptx"], claims: text::claims_ptx, open: text::open },
+    // Last, because what remains is claimed by name, too.
+    Format {
+        kind: FileKind::Text,
+        suffixes: text::TABLE_SUFFIXES,
+        claims: text::claims_table,
+        open: text::open,
+    },
+];
 
 /// Most bytes that decide what a file is.
 pub(super) const HEAD_BYTES: usize = 4096;

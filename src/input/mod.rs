@@ -50,5 +50,5 @@ pub use scan::{
 };
 pub use scan_file::Scan;
 pub use template::{ByteRange, LasTemplate, NewScan};
-pub use text::{BadRows, ColumnList, HEAD_BYTES, TextKind, TextOptions, TextReader, detect_text};
+pub use text::{BadRows, ColumnList, TextKind, TextOptions, TextReader, detect_text};
 pub use vlr::{EVLR_HEADER_BYTES, VLR_HEADER_BYTES, Vlr, evlr_header};

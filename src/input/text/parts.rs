@@ -42,7 +42,7 @@ pub enum Stretch {
     /// Lines that are no rows.
     Passed(u64),
     /// A scan begins.
-    Part(PartHead),
+    Part(Box<PartHead>),
     /// Rows of the scan that began last.
     Rows {
         /// Their bytes.
@@ -186,7 +186,7 @@ impl<'a> Parts<'a> {
             self.scans = scan;
             self.state = State::Rows(None);
             let head = if self.is_ptx { ptx_head(&taken) } else { Ok(pts_head(&taken)) };
-            out.push(Stretch::Part(head.map_err(|reason| fault(None, reason))?));
+            out.push(Stretch::Part(Box::new(head.map_err(|reason| fault(None, reason))?)));
         }
         Ok(())
     }

@@ -5,13 +5,16 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use super::row::{MOST_LINE_BYTES, next_line, too_long};
-use crate::input::error::LasFault;
-use crate::input::foreign::ForeignFault;
+use crate::input::foreign::{ForeignFault, MOST_BLOCK_ROWS};
 use crate::input::positioned_file::PositionedFile;
 
-/// About the bytes that are worked on at once by one thread, and the most of a block but for the
-/// end of its last line. Smaller blocks cost more calls, larger ones memory.
-pub const SLICE_BYTES: usize = 1 << 20;
+/// Bytes that are worked on at once by one thread, and of a block, but for the end of their last
+/// line. The shortest row of a point, "1 1 1" with its line end, has 6 bytes, so no block has more
+/// rows than blocks may have.
+pub const SLICE_BYTES: usize = 6 * MOST_BLOCK_ROWS as usize;
+
+/// Most bytes read in one go: a few slices for each thread.
+const MOST_PIECE_BYTES: usize = 96 * SLICE_BYTES;
 
 /// Reads a file from some byte to its end.
 #[derive(Debug)]
@@ -47,7 +50,7 @@ impl<'a> Pieces<'a> {
         let used = self.buffer.len() - self.rest;
         self.buffer.copy_within(used.., 0);
         let left = self.file.bytes() - self.start;
-        let most = (2 * rayon::current_num_threads()).min(32) * SLICE_BYTES;
+        let most = (8 * rayon::current_num_threads() * SLICE_BYTES).min(MOST_PIECE_BYTES);
         let length = (most as u64).min(left) as usize;
         let kept = self.rest.min(length);
         self.buffer.resize(length, 0);
@@ -60,7 +63,7 @@ impl<'a> Pieces<'a> {
         let outcome = fresh.try_for_each(|(index, chunk)| {
             file.read_exact_at(chunk, begin + (index * SLICE_BYTES) as u64)
         });
-        outcome.map_err(|fault| cannot_read(begin, &fault))?;
+        outcome.map_err(ForeignFault::from)?;
         let end = if length as u64 == left {
             length
         } else {
@@ -68,7 +71,7 @@ impl<'a> Pieces<'a> {
             let last = memchr::memrchr(b'\n', tail);
             let last = last.ok_or_else(|| {
                 let lines = lines + memchr::memchr_iter(b'\n', &self.buffer).count() as u64;
-                ForeignFault { place: format!("line {}", lines + 1), reason: too_long() }
+                ForeignFault::at_line(lines + 1, too_long())
             })?;
             length - tail.len() + last + 1
         };
@@ -76,11 +79,6 @@ impl<'a> Pieces<'a> {
         let text = &self.buffer[..end];
         Ok(Some(Piece { start: self.start, text, slices: slices(text) }))
     }
-}
-
-/// The system, or a file that became shorter, as a fault.
-pub fn cannot_read(byte: u64, fault: &LasFault) -> ForeignFault {
-    ForeignFault { place: format!("byte {byte}"), reason: fault.to_string() }
 }
 
 /// Cuts whole lines into slices of whole lines.

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::columns::{self, AXES, ColumnList};
 use super::layout::{Layout, RowClass, lay_out};
 use super::parts::{PartHead, Parts, Stretch};
-use super::pieces::{Pieces, SLICE_BYTES, cannot_read};
+use super::pieces::{Pieces, SLICE_BYTES};
 use super::preamble::{
     HEAD_BYTES, TextKind, detect_text, encoding_fault, mark_bytes, read_table_head,
 };
@@ -59,7 +59,7 @@ impl TextReader {
     /// Opens a text: reads all of it once.
     pub fn open(file: PositionedFile, options: &TextOptions) -> Result<TextReader, ForeignFault> {
         let head_bytes = file.bytes().min(HEAD_BYTES as u64);
-        let mut head = file.read_range(0..head_bytes).map_err(|fault| cannot_read(0, &fault))?;
+        let mut head = file.read_range(0..head_bytes)?;
         if let Some(reason) = encoding_fault(&head) {
             return Err(at_line(0, None, reason));
         }
@@ -90,8 +90,7 @@ impl ForeignReader for TextReader {
         let place = self.places[block];
         let RowBuffer { positions, attributes, scratch } = rows;
         scratch.resize(place.bytes as usize, 0);
-        let outcome = self.file.read_exact_at(scratch, place.start);
-        outcome.map_err(|fault| cannot_read(place.start, &fault))?;
+        self.file.read_exact_at(scratch, place.start)?;
         let class = place.class as usize;
         let row = &self.facts.blocks[block];
         let placement = self.placements[row.part as usize];
@@ -394,11 +393,10 @@ impl<'a> Opening<'a> {
         let is_fraction = self.kind == TextKind::Ptx;
         let layout = lay_out(&self.classes, is_fraction);
         let is_guess = self.kind == TextKind::Table && !self.is_named && self.columns.is_none();
-        if let Some(names) = self.classes.first().and_then(|class| class.names.as_ref()) {
-            if is_guess && names.len() > 3 {
-                let names = names.join(",");
-                self.warn(format!("columns are guessed to be {names}; --columns sets them"));
-            }
+        let names = self.classes.first().and_then(|class| class.names.as_ref());
+        if let Some(names) = names.filter(|names| is_guess && names.len() > 3) {
+            let names = names.join(",");
+            self.warn(format!("columns are guessed to be {names}; --columns sets them"));
         }
         self.warnings.extend(layout.warnings.iter().cloned());
         let facts = ForeignFacts {
@@ -460,11 +458,10 @@ fn ptx_names(others: &[&str]) -> Vec<String> {
 
 /// A fault in a line counted from 0, and a column counted from 1.
 fn at_line(line: u64, column: Option<usize>, reason: String) -> ForeignFault {
-    let place = match column {
-        Some(column) => format!("line {}, column {column}", line + 1),
-        None => format!("line {}", line + 1),
-    };
-    ForeignFault { place, reason }
+    match column {
+        Some(column) => ForeignFault::at(format!("line {}, column {column}", line + 1), reason),
+        None => ForeignFault::at_line(line + 1, reason),
+    }
 }
 
 /// A fault in a row of lines that begin at a line, with the name of its column if it has one.
@@ -477,5 +474,6 @@ fn in_row(first_line: u64, fault: RowFault, names: Option<&[String]>) -> Foreign
     place
 }
 
-// A block's length fits 32 bits: a piece holds at most 32 slices.
-const _: () = assert!(33 * SLICE_BYTES < u32::MAX as usize);
+// A block's length fits 32 bits: a slice ends with the line in which it is full, and lines end
+// within a piece.
+const _: () = assert!(97 * SLICE_BYTES < u32::MAX as usize);

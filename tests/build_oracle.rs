@@ -125,7 +125,7 @@ fn builds_out_of_core_equal_insertion() {
     for kind in 0..KINDS {
         for (count, depth, threshold) in [(6000, 3, 15), (9000, 2, 4)] {
             let points = cloud(kind, count, 5 + kind as u64);
-            let small = ConvertOptions { memory_bytes: 120_000, ..options(depth, threshold) };
+            let small = ConvertOptions { memory_bytes: 400_000, ..options(depth, threshold) };
             let (store, report) = build(folder.path(), &points, &small);
             assert!(!report.in_memory && report.temporary_bytes > 0, "it went through files");
             compare_with_insertion(&store, &points, depth, threshold);
@@ -170,8 +170,8 @@ fn any_small_cloud_builds_the_same_both_ways() {
             let (store, _) = build(folder.path(), &points, &options(depth, threshold));
             compare_with_insertion(&store, &points, depth, threshold);
             let whole = std::fs::read(store.path()).expect("the store reads");
-            // About the least cap for nodes of so many levels.
-            let memory_bytes = [110_000, 150_000, 450_000][depth as usize - 2];
+            // From the least cap up: chunks of a few points, then of many.
+            let memory_bytes = 400_000 + seed * seed;
             let small = ConvertOptions { memory_bytes, ..options(depth, threshold) };
             let (store, _) = build(folder.path(), &points, &small);
             let spilled = std::fs::read(store.path()).expect("the store reads");
@@ -187,7 +187,7 @@ fn bytes_do_not_depend_on_threads_or_memory() {
     let points = cloud(6, 30_000, 3);
     let mut first: Option<Vec<u8>> = None;
     for threads in [1, 2, 8] {
-        for memory_bytes in [200_000, 3_000_000, 1 << 30] {
+        for memory_bytes in [1_200_000, 3_000_000, 1 << 30] {
             let options = ConvertOptions { threads, memory_bytes, ..options(3, 30) };
             let (store, report) = build(folder.path(), &points, &options);
             assert_eq!(report.in_memory, memory_bytes == 1 << 30);

@@ -2,26 +2,41 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::AtomicBool;
+use std::time::Instant;
 
 use rayon::prelude::*;
 
 use crate::build::BuildError;
+use crate::build::budget::Budget;
+use crate::build::chunk::{ChunkScratch, ChunkSink, build_chunk};
 use crate::build::encode::{Encoding, FinishedNode, join_ranges};
+use crate::build::in_order::for_each_in_order;
+use crate::build::node::TreeRules;
 use crate::build::options::{ConvertOptions, DEPTH_RANGE};
-use crate::build::out_of_core::{OutOfCore, RowBatch, RowSource, TakeBatches, least_region_points};
-use crate::build::point_tree::Entry;
+use crate::build::pages::{Page, PageStore, Slab};
+use crate::build::partition::{ChunkRows, Partition, PartitionShape, split, taken_by_shared_cells};
+use crate::build::plan::{Chunk, Plan};
 use crate::build::progress::{Progress, Stage};
-use crate::build::rows::{INDEX_BYTES, Rows};
-use crate::build::sources::{Batch, Sources, Survey};
-use crate::build::spill::{SpillFile, StreamId};
-use crate::build::subtree::{Subtree, TreeRules};
+use crate::build::rows::{RowLayout, RowTable, color_offset};
+use crate::build::sources::Sources;
+use crate::build::spanning::Spanning;
+use crate::build::survey::{HeldPage, Survey, survey};
 use crate::geometry::MortonKey;
-use crate::points::Schema;
+use crate::input::BlockBuffer;
 use crate::store::{Metadata, StoreWriter, ValueRange, sections_for};
 
+/// How long a part of a conversion took.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct StageTime {
+    /// Which part.
+    pub stage: &'static str,
+    /// Wall time.
+    pub seconds: f64,
+}
+
 /// What a conversion did.
-#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct ConvertReport {
     /// Points of the input, all of them in the store.
     pub points: u64,
@@ -35,6 +50,8 @@ pub struct ConvertReport {
     pub temporary_bytes: u64,
     /// Whether all points were held in memory at once.
     pub in_memory: bool,
+    /// The parts of the work in order, with their times.
+    pub stages: Vec<StageTime>,
     /// What headers said and points did not bear out, each with its file.
     pub warnings: Vec<String>,
 }
@@ -72,53 +89,30 @@ struct Conversion<'a> {
     cancelled: &'a AtomicBool,
 }
 
-/// All points in memory, as records in input order.
-struct HeldPoints {
-    records: Vec<u8>,
-    /// First row of each source.
-    source_starts: Vec<usize>,
+/// What one step after the other needs to know of the input.
+struct Input<'a, 'p> {
+    sources: &'a Sources,
+    survey: Survey<'p>,
 }
-
-/// What the first pass leaves behind.
-struct FirstPass {
-    survey: Survey,
-    points_of_source: Vec<u64>,
-    held: Option<HeldPoints>,
-    /// Decoded records of compressed input that does not fit memory, in input order.
-    spooled: Option<(SpillFile, StreamId)>,
-}
-
-/// Memory for the program itself and for blocks being read, whatever the cap.
-const FIXED_BYTES: u64 = 40 << 20;
-/// Part of the memory cap for points and what is done to them; what the shares leave is for what
-/// the allocator keeps.
-const POINT_SHARE: f64 = 0.66;
-/// Part of the memory cap for the counting grid.
-const GRID_SHARE: f64 = 0.08;
-/// Part of the memory cap for encoded nodes that wait to be written.
-const NODE_SHARE: f64 = 0.10;
-/// Part of the memory cap for tails of spilled streams.
-const TAIL_SHARE: f64 = 0.06;
 
 impl Conversion<'_> {
     fn run(&self, inputs: &[PathBuf]) -> Result<ConvertReport, BuildError> {
+        let mut clock = Clock::new(self.progress);
         let sources = Sources::open(inputs, &self.options.read)?;
         let schema = sources.schema();
-        // In memory a point is its record and a sort entry, and its encoded bytes wait, too.
-        let held_bytes =
-            |entry: usize| (1.4 * f64::from(schema.record_bytes)) as u64 + entry as u64;
-        let fits = sources.expected_points().saturating_mul(held_bytes(size_of::<Entry<u128>>()))
-            <= self.share(POINT_SHARE + NODE_SHARE)
-            && sources.expected_points() <= u64::from(u32::MAX);
-        let first = self.first_pass(&sources, fits)?;
-        let survey = &first.survey;
+        let budget = Budget::new(self.options, schema, sources.expected_points())?;
+        let mut slab = Slab::reserve(budget.slab_bytes);
+        let pages = PageStore::new(&self.temp_dir(), budget.page_bytes, &mut slab);
+        clock.begin(Stage::Read, sources.expected_points());
+        let hold = sources.are_compressed().then_some(&pages);
+        let survey = survey(&sources, hold, budget.workers, self.progress, self.cancelled)?;
         let root_bits = survey.root_bits(self.options.depth);
         if root_bits > u128::MAX_BITS {
             let path = inputs.last().expect("sources have a file").clone();
             return Err(BuildError::TooWide { steps: 1 << (root_bits - 1), path });
         }
-        let color_bits = crate::build::rows::color_offset(schema)
-            .map(|_| if survey.color_union > 0xff { 16 } else { 8 });
+        let color_bits =
+            color_offset(schema).map(|_| if survey.color_union > 0xff { 16 } else { 8 });
         let sections = sections_for(schema, color_bits);
         let rules = TreeRules {
             root_bits,
@@ -126,16 +120,21 @@ impl Conversion<'_> {
             threshold: self.options.threshold.max(1) as usize,
             representative: self.options.representative,
             encoding: Encoding { schema, sections: &sections, color_bits },
-            cancelled: self.cancelled,
         };
-        let (survey, points_of_source) = (first.survey.clone(), first.points_of_source.clone());
-        let in_memory = first.held.is_some();
-        let built = if root_bits <= u64::MAX_BITS {
-            self.build::<u64>(&sources, &rules, first)?
+        let mut input = Input { sources: &sources, survey };
+        let built = if input.survey.points == 0 {
+            Built::new(StoreWriter::new(&self.temp_dir(), 0))
+        } else if root_bits <= u64::MAX_BITS {
+            self.build::<u64>(&mut input, &rules, &budget, &pages, &mut clock)?
         } else {
-            self.build::<u128>(&sources, &rules, first)?
+            self.build::<u128>(&mut input, &rules, &budget, &pages, &mut clock)?
         };
-        self.progress.begin(Stage::Write, survey.points);
+        let survey = &input.survey;
+        clock.begin(Stage::Write, survey.points);
+        let mut points_of_source = vec![0; sources.scans().len()];
+        for ((source, _), points) in sources.blocks().iter().zip(&survey.block_points) {
+            points_of_source[*source] += points;
+        }
         let described = sources.describe(&points_of_source);
         let has_points = survey.points > 0;
         let lattice = sources.lattice();
@@ -160,7 +159,7 @@ impl Conversion<'_> {
             sources: described.infos,
         };
         let nodes = built.nodes;
-        let temporary_bytes = built.temporary_bytes + built.writer.spilled_bytes();
+        let temporary_bytes = pages.written_bytes() + built.writer.spilled_bytes();
         let output_bytes = built.writer.finish(
             self.output,
             &metadata,
@@ -179,15 +178,10 @@ impl Conversion<'_> {
             overflow_points: built.overflow_points,
             output_bytes,
             temporary_bytes,
-            in_memory,
+            in_memory: pages.written_bytes() == 0,
+            stages: clock.finish(),
             warnings,
         })
-    }
-
-    /// Part of what the memory cap leaves for the points.
-    fn share(&self, part: f64) -> u64 {
-        let cap = self.options.memory_bytes;
-        (cap.saturating_sub(FIXED_BYTES).max(cap / 4) as f64 * part) as u64
     }
 
     fn temp_dir(&self) -> PathBuf {
@@ -195,168 +189,157 @@ impl Conversion<'_> {
         folder.filter(|f| !f.as_os_str().is_empty()).unwrap_or_else(|| PathBuf::from("."))
     }
 
-    /// Reads every point once: bounds, colour depth, and the records where they must be kept.
-    fn first_pass(&self, sources: &Sources, hold: bool) -> Result<FirstPass, BuildError> {
-        self.progress.begin(Stage::Read, sources.expected_points());
-        let schema = sources.schema();
-        let mut survey = Survey::empty();
-        let mut points_of_source = vec![0u64; sources.scans().len()];
-        let mut held = hold.then(|| HeldPoints { records: Vec::new(), source_starts: Vec::new() });
-        let mut spooled = (!hold && sources.are_compressed()).then(|| {
-            let mut file = SpillFile::new(&self.temp_dir(), 1 << 20);
-            let stream = file.add_stream();
-            (file, stream)
-        });
-        sources.for_each_group(self.cancelled, &mut |batches: &[Batch]| {
-            survey = batches
-                .par_iter()
-                .map(|batch| Survey::of(batch, schema))
-                .collect::<Vec<_>>()
-                .iter()
-                .fold(survey.clone(), Survey::join);
-            for batch in batches {
-                points_of_source[batch.source] += batch.rows.len() as u64;
-                if let Some(held) = &mut held {
-                    held.records.extend_from_slice(batch.records);
-                }
-                if let Some((file, stream)) = &mut spooled {
-                    file.append(*stream, batch.records)?;
-                }
-                self.progress.advance(batch.rows.len() as u64);
-            }
-            Ok(())
-        })?;
-        if let Some(held) = &mut held {
-            let starts = points_of_source.iter().scan(0, |start, points| {
-                let this = *start;
-                *start += *points as usize;
-                Some(this)
-            });
-            held.source_starts = starts.collect();
-        }
-        Ok(FirstPass { survey, points_of_source, held, spooled })
-    }
-
-    fn build<K: MortonKey>(
+    /// Sorts all points into chunks and builds these side by side.
+    fn build<'p, K: MortonKey>(
         &self,
-        sources: &Sources,
+        input: &mut Input<'_, 'p>,
         rules: &TreeRules,
-        first: FirstPass,
+        budget: &Budget,
+        pages: &PageStore<'p>,
+        clock: &mut Clock,
     ) -> Result<Built, BuildError> {
-        let node_memory = self.share(NODE_SHARE) as usize;
-        let stages: &[Stage] = match first.held {
-            Some(_) => &[Stage::Build],
-            None => &[Stage::Count, Stage::Partition, Stage::Build],
+        clock.begin(Stage::Partition, input.survey.points);
+        let target = budget.chunk_points(input.survey.points);
+        let plan = self.plan::<K>(&mut input.survey, rules, target);
+        let layout = RowLayout::new::<K>(input.sources.schema(), input.survey.points);
+        let shape = PartitionShape {
+            layout,
+            page_shift: budget.page_shift(layout.stride()),
+            root_bits: rules.root_bits,
+            levels: rules.levels,
         };
-        let collected = Mutex::new(Built {
-            writer: StoreWriter::new(&self.temp_dir(), node_memory),
-            ranges: Vec::new(),
-            nodes: 0,
-            overflow_points: 0,
-            temporary_bytes: 0,
-        });
-        let overflow = AtomicU64::new(0);
-        let progress = StagedProgress::new(self.progress, stages, first.survey.points);
-        let sink = |finished: FinishedNode| -> Result<(), BuildError> {
-            let points = u64::from(finished.node.levels.point_count());
-            let mut built = collected.lock().expect("no holder of the lock panics");
-            join_ranges(&mut built.ranges, &finished.ranges);
-            built.nodes += 1;
-            built.writer.add(finished.node)?;
-            drop(built);
-            progress.advance(points);
-            Ok(())
+        let partition = Partition::new(&plan, shape, pages);
+        self.fill_partition(input, budget, pages, &partition)?;
+        let mut filled = partition.into_chunks();
+        let mut chunks = plan.chunks().to_vec();
+        let too_many = budget.most_chunk_points.min(4 * target);
+        let is_too_large = |chunk: &Chunk<K>, rows: &ChunkRows| {
+            rows.points > too_many && chunk.level < rules.root_bits
         };
-        let FirstPass { survey, points_of_source, held, spooled } = first;
-        let mut temporary_bytes = 0;
-        if survey.points == 0 {
-            // No nodes; the store says so.
-        } else if let Some(held) = held {
-            let rows = Rows::consecutive(&held.records, sources.schema(), 0);
-            let mut entries = Vec::new();
-            for (source, &start) in held.source_starts.iter().enumerate() {
-                let rows_of_source = start as u32..(start as u64 + points_of_source[source]) as u32;
-                let origin = origin_of(sources, source, &survey);
-                let batch = RowBatch { rows, origin: Some(origin) };
-                entries.par_extend(
-                    rows_of_source
-                        .into_par_iter()
-                        .map(|row| Entry { key: batch.key::<K>(row), row }),
-                );
-            }
-            Subtree::sort(&mut entries);
-            Subtree { rules, rows, sink: &sink, overflow: &overflow }.grow(0, &mut entries)?;
-        } else {
-            temporary_bytes = self.build_out_of_core::<K>(
-                sources,
-                rules,
-                &survey,
-                &points_of_source,
-                spooled,
-                &sink,
-                &overflow,
-                &progress,
-            )?;
+        while let Some(i) = (0..chunks.len()).find(|&i| is_too_large(&chunks[i], &filled[i])) {
+            let rows = std::mem::take(&mut filled[i]);
+            let (parts, rows) = split(&chunks[i], rows, target, shape, pages)?;
+            chunks.splice(i..=i, parts);
+            filled.splice(i..=i, rows);
         }
-        let mut built = collected.into_inner().expect("no holder of the lock panics");
-        built.overflow_points = overflow.into_inner();
-        built.temporary_bytes = temporary_bytes;
-        Ok(built)
+
+        clock.begin(Stage::Build, input.survey.points);
+        let taken = taken_by_shared_cells(&chunks, &filled, rules.root_bits, rules.levels);
+        let ends = chunks.iter().map(|chunk| chunk.end).collect();
+        let spanning = Mutex::new(Spanning::<K>::new(rules, ends));
+        let writer = StoreWriter::new(&self.temp_dir(), budget.node_bytes as usize);
+        let built = Mutex::new(Built::new(writer));
+        let rows: Vec<Mutex<Vec<Page>>> = filled.into_iter().map(|c| Mutex::new(c.pages)).collect();
+        let finished = |finished: FinishedNode| -> Result<(), BuildError> {
+            self.progress.advance(u64::from(finished.node.levels.point_count()));
+            built.lock().expect("no holder of the lock panics").add(finished)
+        };
+        for_each_in_order(
+            chunks.len(),
+            budget.workers,
+            self.cancelled,
+            ChunkScratch::<K>::default,
+            |scratch, i| {
+                let stored = std::mem::take(&mut *rows[i].lock().expect("each is locked once"));
+                let loaded = stored
+                    .into_iter()
+                    .map(|page| pages.load(page))
+                    .collect::<Result<Vec<_>, _>>()?;
+                let slices: Vec<&[u8]> = loaded.iter().map(|page| &**page).collect();
+                let table = RowTable::new(&slices, shape.page_shift, layout);
+                let mut finish = |node| finished(node);
+                let mut sink = ChunkSink { finished: &mut finish, contributions: Vec::new() };
+                build_chunk(rules, &chunks[i], table, &taken[i], scratch, &mut sink)?;
+                let contributions = sink.contributions;
+                loaded.into_iter().for_each(|page| pages.give_back(page));
+                let ready =
+                    spanning.lock().expect("no holder of the lock panics").add(i, contributions);
+                for node in ready {
+                    finished(node.finish(rules, layout, &mut scratch.nodes))?;
+                }
+                Ok(())
+            },
+            |_| Ok(()),
+        )?;
+        Ok(built.into_inner().expect("no holder of the lock panics"))
     }
 
-    #[allow(clippy::too_many_arguments, reason = "the parts of one step, used nowhere else")]
-    fn build_out_of_core<K: MortonKey>(
+    fn plan<K: MortonKey>(
         &self,
-        sources: &Sources,
+        survey: &mut Survey<'_>,
         rules: &TreeRules,
-        survey: &Survey,
-        points_of_source: &[u64],
-        spooled: Option<(SpillFile, StreamId)>,
-        sink: crate::build::subtree::NodeSink,
-        overflow: &AtomicU64,
-        progress: &dyn Progress,
-    ) -> Result<u64, BuildError> {
-        let row_bytes = INDEX_BYTES as u64 + u64::from(sources.schema().record_bytes);
-        // A region is its rows, its sort entries, and the nodes being put together from them.
-        let point_bytes = row_bytes + size_of::<Entry<K>>() as u64 + row_bytes;
-        let max_points = (self.share(POINT_SHARE) / point_bytes).min(u64::from(u32::MAX) / 2);
-        let least = least_region_points(rules.levels, rules.threshold);
-        if max_points < least {
-            let needed = (least as f64 * point_bytes as f64 / POINT_SHARE) as u64 + FIXED_BYTES + 1;
-            return Err(BuildError::MemoryCap { cap: self.options.memory_bytes, needed });
-        }
-        let streams = 8 * (survey.points / max_points + 1);
-        let tail = (self.share(TAIL_SHARE) / streams).clamp(4 << 10, 1 << 20) as usize;
-        let mut spill = SpillFile::new(&self.temp_dir(), tail);
-        let builder = OutOfCore {
-            rules,
-            schema: sources.schema(),
-            max_points,
-            grid_bytes: self.share(GRID_SHARE),
-            sink,
-            overflow,
-            progress,
+        target: u64,
+    ) -> Plan<K> {
+        let sample = std::mem::take(&mut survey.sample);
+        let origin = survey.min;
+        let mut keys: Vec<K> = sample
+            .par_iter()
+            .map(|p| K::encode([0, 1, 2].map(|axis| (p[axis] - origin[axis]) as u32)))
+            .collect();
+        keys.par_sort_unstable();
+        Plan::new(&keys, survey.sample_weight, target, rules.root_bits, rules.levels)
+    }
+
+    /// Brings all points of the input into their chunks.
+    fn fill_partition<'p, K: MortonKey>(
+        &self,
+        input: &mut Input<'_, 'p>,
+        budget: &Budget,
+        pages: &PageStore<'p>,
+        partition: &Partition<'_, 'p, K>,
+    ) -> Result<(), BuildError> {
+        let Input { sources, survey } = input;
+        let record_bytes = sources.schema().record_bytes as usize;
+        let blocks = sources.blocks();
+        let first_indices = survey.first_indices();
+        let origin = |source: usize| {
+            let shift = sources.shift(source);
+            [0, 1, 2].map(|axis| survey.min[axis] - shift[axis])
         };
-        let schema = sources.schema();
-        let mut written = 0;
-        if let Some((mut spool, stream)) = spooled {
-            written += spool.written_bytes();
-            let mut source = SpooledRows {
-                spool: &mut spool,
-                stream,
-                schema,
-                sources: points_of_source
-                    .iter()
-                    .enumerate()
-                    .map(|(i, points)| (*points, origin_of(sources, i, survey)))
-                    .collect(),
-            };
-            builder.run::<K>(0, &mut source, &mut spill)?;
-        } else {
-            let mut source = ScannedRows { sources, survey, cancelled: self.cancelled };
-            builder.run::<K>(0, &mut source, &mut spill)?;
+        if sources.are_compressed() {
+            let mut held = std::mem::take(&mut survey.held);
+            held.sort_by_key(|page| (page.block, page.first));
+            let held: Vec<Mutex<Option<HeldPage>>> =
+                held.into_iter().map(|page| Mutex::new(Some(page))).collect();
+            return for_each_in_order(
+                held.len(),
+                budget.workers,
+                self.cancelled,
+                || partition.open(),
+                |open, i| {
+                    let held = held[i].lock().expect("each is locked once").take();
+                    let HeldPage { block, first, page } = held.expect("each is taken once");
+                    let records = pages.load(page)?;
+                    let first = first_indices[block] + first;
+                    let origin = origin(blocks[block].0);
+                    partition.add_records(open, &records, record_bytes, first, origin)?;
+                    self.progress.advance((records.len() / record_bytes) as u64);
+                    pages.give_back(records);
+                    Ok(())
+                },
+                |open| partition.close(open),
+            );
         }
-        Ok(written + spill.written_bytes())
+        for_each_in_order(
+            blocks.len(),
+            budget.workers,
+            self.cancelled,
+            || (partition.open(), BlockBuffer::default()),
+            |(open, buffer), i| {
+                let (source, block) = blocks[i];
+                let (origin, mut found) = (origin(source), 0);
+                sources.read_block(source, block, buffer, &mut |records| {
+                    let first = first_indices[i] + found;
+                    partition.add_records(open, records, record_bytes, first, origin)?;
+                    let count = (records.len() / record_bytes) as u64;
+                    found += count;
+                    self.progress.advance(count);
+                    Ok(())
+                })?;
+                if found == survey.block_points[i] { Ok(()) } else { Err(BuildError::Changed) }
+            },
+            |(open, _)| partition.close(open),
+        )
     }
 }
 
@@ -366,7 +349,19 @@ struct Built {
     ranges: Vec<Vec<ValueRange>>,
     nodes: u64,
     overflow_points: u64,
-    temporary_bytes: u64,
+}
+
+impl Built {
+    fn new(writer: StoreWriter) -> Self {
+        Built { writer, ranges: Vec::new(), nodes: 0, overflow_points: 0 }
+    }
+
+    fn add(&mut self, finished: FinishedNode) -> Result<(), BuildError> {
+        join_ranges(&mut self.ranges, &finished.ranges);
+        self.nodes += 1;
+        self.overflow_points += finished.overflow_points;
+        Ok(self.writer.add(finished.node)?)
+    }
 }
 
 /// Ranges as JSON can hold them: attributes without any number get 0..0.
@@ -381,107 +376,35 @@ fn finite(mut ranges: Vec<Vec<ValueRange>>) -> Vec<Vec<ValueRange>> {
     ranges
 }
 
-/// What to subtract from a source's coordinates to get those of the root cube.
-fn origin_of(sources: &Sources, source: usize, survey: &Survey) -> [i64; 3] {
-    let shift = sources.shift(source);
-    [0, 1, 2].map(|axis| survey.min[axis] - shift[axis])
+/// Tells which part of the work goes on, and how long each took.
+struct Clock<'a> {
+    progress: &'a dyn Progress,
+    stages: Vec<StageTime>,
+    began: Instant,
 }
 
-/// Rows read from the input files again.
-struct ScannedRows<'a> {
-    sources: &'a Sources,
-    survey: &'a Survey,
-    cancelled: &'a AtomicBool,
-}
-
-impl RowSource for ScannedRows<'_> {
-    fn for_each_group(
-        &mut self,
-        spill: &mut SpillFile,
-        take: TakeBatches,
-    ) -> Result<(), BuildError> {
-        self.sources.for_each_group(self.cancelled, &mut |batches| {
-            let batches: Vec<RowBatch> = batches
-                .iter()
-                .map(|batch| RowBatch {
-                    rows: batch.rows,
-                    origin: Some(origin_of(self.sources, batch.source, self.survey)),
-                })
-                .collect();
-            take(spill, &batches)
-        })
-    }
-}
-
-/// Rows of compressed files, kept on disk as they were decoded.
-struct SpooledRows<'a> {
-    spool: &'a mut SpillFile,
-    stream: StreamId,
-    schema: &'a Schema,
-    /// Points and origin of each source, in input order.
-    sources: Vec<(u64, [i64; 3])>,
-}
-
-impl RowSource for SpooledRows<'_> {
-    fn for_each_group(
-        &mut self,
-        spill: &mut SpillFile,
-        take: TakeBatches,
-    ) -> Result<(), BuildError> {
-        let record_bytes = self.schema.record_bytes as usize;
-        let batch_bytes = record_bytes << 15;
-        let piece = batch_bytes * 2 * rayon::current_num_threads();
-        let (schema, mut index) = (self.schema, 0u64);
-        let mut left = self.sources.iter().copied();
-        let mut current = left.next().unwrap_or_default();
-        self.spool.visit(self.stream, record_bytes, piece, &mut |_, mut bytes| {
-            let mut batches = Vec::new();
-            while !bytes.is_empty() {
-                while current.0 == 0 {
-                    current = left.next().expect("sources add up to the spooled points");
-                }
-                let rows = (bytes.len() / record_bytes).min(1 << 15).min(current.0 as usize);
-                let (part, rest) = bytes.split_at(rows * record_bytes);
-                bytes = rest;
-                let rows_of_part = Rows::consecutive(part, schema, index);
-                batches.push(RowBatch { rows: rows_of_part, origin: Some(current.1) });
-                index += rows as u64;
-                current.0 -= rows as u64;
-            }
-            take(spill, &batches)
-        })
-    }
-}
-
-/// Turns a running count of points into stages that each pass over all of them.
-struct StagedProgress<'a> {
-    inner: &'a dyn Progress,
-    stages: &'a [Stage],
-    points: u64,
-    done: AtomicU64,
-}
-
-impl<'a> StagedProgress<'a> {
-    fn new(inner: &'a dyn Progress, stages: &'a [Stage], points: u64) -> Self {
-        inner.begin(stages[0], points);
-        StagedProgress { inner, stages, points, done: AtomicU64::new(0) }
-    }
-}
-
-impl Progress for StagedProgress<'_> {
-    fn begin(&self, stage: Stage, total: u64) {
-        self.inner.begin(stage, total);
+impl<'a> Clock<'a> {
+    fn new(progress: &'a dyn Progress) -> Self {
+        Clock { progress, stages: Vec::new(), began: Instant::now() }
     }
 
-    fn advance(&self, points: u64) {
-        let before = self.done.fetch_add(points, Ordering::Relaxed);
-        self.inner.advance(points);
-        for (pass, stage) in (1..).zip(&self.stages[1..]) {
-            let threshold = pass * self.points;
-            if before < threshold && before + points >= threshold {
-                self.inner.begin(*stage, self.points);
-            }
+    fn begin(&mut self, stage: Stage, points: u64) {
+        self.stop();
+        self.stages.push(StageTime { stage: stage.name(), seconds: 0.0 });
+        self.progress.begin(stage, points);
+    }
+
+    fn stop(&mut self) {
+        let now = Instant::now();
+        if let Some(stage) = self.stages.last_mut() {
+            stage.seconds = (now - self.began).as_secs_f64();
         }
+        self.began = now;
+    }
+
+    fn finish(mut self) -> Vec<StageTime> {
+        self.stop();
+        self.stages
     }
 }
 

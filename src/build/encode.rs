@@ -2,11 +2,11 @@
 
 use glam::UVec3;
 
-use crate::build::point_tree::{Entry, NodeGrid};
-use crate::build::rows::{Rows, color_offset, read_color};
+use crate::build::node::SortedPoints;
+use crate::build::rows::{color_offset, copy_short, read_color};
 use crate::geometry::MortonKey;
 use crate::octree::LevelIndex;
-use crate::points::{Attribute, Scalar, Schema};
+use crate::points::{Attribute, COORDINATE_BYTES, Scalar, Schema, names};
 use crate::store::{
     CodecScratch, EncodedNode, NARROW_BITS, Section, SectionContent, SectionExtent, ValueRange,
     encode_section, position_shape,
@@ -28,143 +28,215 @@ pub struct FinishedNode {
     pub node: EncodedNode,
     /// Per attribute of the schema, per component.
     pub ranges: Vec<Vec<ValueRange>>,
+    /// Points beyond one per finest cell.
+    pub overflow_points: u64,
 }
 
-/// Encodes the points of a node, given in final order (level, then Morton).
-pub fn encode_node<K: MortonKey>(
-    grid: NodeGrid,
-    points: &[Entry<K>],
-    totals: Vec<u32>,
-    rows: &Rows,
-    encoding: &Encoding,
-) -> FinishedNode {
-    let local_bits = grid.root_bits - grid.depth;
-    let cell = points[0].key.ancestor(local_bits).decode();
-    let record_bytes = encoding.schema.record_bytes as usize;
-    // Gathered once, so that each column is then a walk over memory in order.
-    let mut records = Vec::with_capacity(points.len() * record_bytes);
-    for point in points {
-        records.extend_from_slice(rows.record(point.row));
-    }
-    let mut bytes = Vec::with_capacity(records.len());
-    let mut sections = Vec::with_capacity(encoding.sections.len());
-    let mut scratch = CodecScratch::default();
-    let mut column = Vec::new();
-    let mut tight = [UVec3::MAX, UVec3::ZERO];
-    let mut ranges = vec![Vec::new(); encoding.schema.attributes.len()];
-    for section in encoding.sections {
-        column.clear();
-        let mut shape = section.shape;
-        match section.content {
-            SectionContent::Positions => {
-                shape = position_shape(local_bits);
-                tight = push_positions(points, local_bits, &mut column);
-            }
-            SectionContent::Color => push_colors(&records, encoding, &mut column),
-            SectionContent::ColorLow => push_low_colors(&records, encoding, &mut column),
-            SectionContent::Attribute(i) => {
-                let attribute = &encoding.schema.attributes[i as usize];
-                push_attribute(&records, record_bytes, attribute, &mut column);
-                ranges[i as usize] = value_ranges(attribute, &column);
+/// Encodes nodes; its memory is used again.
+#[derive(Default)]
+pub struct Encoder {
+    /// Attributes of the node's points, in final order.
+    records: Vec<u8>,
+    column: Vec<u8>,
+    bytes: Vec<u8>,
+    scratch: CodecScratch,
+}
+
+impl Encoder {
+    /// Encodes the points of a node, given by their places in final order (level, then Morton).
+    pub fn encode<K: MortonKey>(
+        &mut self,
+        depth: u32,
+        local_bits: u32,
+        points: &SortedPoints<K>,
+        ordered: &[u32],
+        totals: Vec<u32>,
+        encoding: &Encoding,
+    ) -> FinishedNode {
+        let cell = points.items[ordered[0] as usize].key.ancestor(local_bits).decode();
+        let layout = points.rows.layout();
+        let stride = layout.attribute_bytes();
+        // Gathered once, so that each column is then a walk over memory in order.
+        self.records.resize(ordered.len() * stride, 0);
+        if stride > 0 {
+            for (record, &place) in self.records.chunks_exact_mut(stride).zip(ordered) {
+                copy_short(record, layout.attributes(points.row(place)));
             }
         }
-        let start = bytes.len();
-        let written = encode_section(shape, &column, &mut scratch, &mut bytes);
-        let checksum = crc32c::crc32c(&bytes[start..]);
-        sections.push(SectionExtent { bytes: written as u64, checksum });
+        self.bytes.clear();
+        let mut sections = Vec::with_capacity(encoding.sections.len());
+        let mut tight = [UVec3::MAX, UVec3::ZERO];
+        let attributes = &encoding.schema.attributes;
+        let mut ranges: Vec<Vec<ValueRange>> = vec![Vec::new(); attributes.len()];
+        if encoding.color_bits.is_some()
+            && let Some((i, rgb)) = encoding.schema.find(names::RGB)
+        {
+            take_column(&self.records, stride, rgb, &mut self.column);
+            ranges[i] = value_ranges(rgb, &self.column);
+        }
+        for section in encoding.sections {
+            let start = self.bytes.len();
+            let mut shape = section.shape;
+            match section.content {
+                SectionContent::Attribute(i) => {
+                    let attribute = &attributes[i as usize];
+                    take_column(&self.records, stride, attribute, &mut self.column);
+                    ranges[i as usize] = value_ranges(attribute, &self.column);
+                }
+                SectionContent::Positions => {
+                    shape = position_shape(local_bits);
+                    tight = push_positions(points, ordered, local_bits, &mut self.column);
+                }
+                SectionContent::Color => {
+                    push_colors(&self.records, stride, encoding, &mut self.column)
+                }
+                SectionContent::ColorLow => {
+                    push_low_colors(&self.records, stride, encoding, &mut self.column)
+                }
+            }
+            let written = encode_section(shape, &self.column, &mut self.scratch, &mut self.bytes);
+            let checksum = crc32c::crc32c(&self.bytes[start..]);
+            sections.push(SectionExtent { bytes: written as u64, checksum });
+        }
+        let levels = LevelIndex::new(totals).expect("level totals of a node rise from 1");
+        let bytes = self.bytes.as_slice().into();
+        let node = EncodedNode { depth, cell: cell.into(), levels, tight, sections, bytes };
+        FinishedNode { node, ranges, overflow_points: 0 }
     }
-    if encoding.color_bits.is_some() {
-        let (i, attribute) = encoding
-            .schema
-            .find(crate::points::names::RGB)
-            .expect("colour bits are known only with colour");
-        column.clear();
-        push_attribute(&records, record_bytes, attribute, &mut column);
-        ranges[i] = value_ranges(attribute, &column);
-    }
-    let levels = LevelIndex::new(totals).expect("level totals of a node rise from 1");
-    let node = EncodedNode { depth: grid.depth, cell: cell.into(), levels, tight, sections, bytes };
-    FinishedNode { node, ranges }
 }
 
 fn push_positions<K: MortonKey>(
-    points: &[Entry<K>],
+    points: &SortedPoints<K>,
+    ordered: &[u32],
     local_bits: u32,
     column: &mut Vec<u8>,
 ) -> [UVec3; 2] {
-    let mut tight = [UVec3::MAX, UVec3::ZERO];
-    for point in points {
-        let local = point.key.local(local_bits);
-        let position = UVec3::from(local.decode());
-        tight = [tight[0].min(position), tight[1].max(position)];
-        if local_bits <= NARROW_BITS {
-            column.extend_from_slice(&local.low_u64().to_le_bytes());
-        } else {
-            position.to_array().iter().for_each(|c| column.extend_from_slice(&c.to_le_bytes()));
+    column.clear();
+    let keys = ordered.iter().map(|&place| points.items[place as usize].key.local(local_bits));
+    if local_bits <= NARROW_BITS {
+        column.resize(8 * ordered.len(), 0);
+        for (bytes, local) in column.chunks_exact_mut(8).zip(keys.clone()) {
+            bytes.copy_from_slice(&local.low_u64().to_le_bytes());
+        }
+    } else {
+        for local in keys.clone() {
+            local.decode().iter().for_each(|c| column.extend_from_slice(&c.to_le_bytes()));
         }
     }
-    tight
+    K::bounds(keys).map(UVec3::from)
 }
 
 fn record_colors<'a>(
     records: &'a [u8],
+    stride: usize,
     schema: &Schema,
 ) -> impl Iterator<Item = [u16; 3]> + use<'a> {
     let offset = color_offset(schema).expect("colour sections exist only with colour");
-    records
-        .chunks_exact(schema.record_bytes as usize)
-        .map(move |record| read_color(&record[offset..]))
+    records.chunks_exact(stride).map(move |record| read_color(&record[offset - COORDINATE_BYTES..]))
 }
 
-fn push_colors(records: &[u8], encoding: &Encoding, column: &mut Vec<u8>) {
+fn push_colors(records: &[u8], stride: usize, encoding: &Encoding, column: &mut Vec<u8>) {
     let shift = if encoding.color_bits == Some(16) { 8 } else { 0 };
-    for color in record_colors(records, encoding.schema) {
-        let [r, g, b] = color.map(|channel| (channel >> shift) as u8);
-        column.extend_from_slice(&[r, g, b, 255]);
+    column.clear();
+    column.resize(records.len() / stride * 4, 255);
+    let colors = record_colors(records, stride, encoding.schema);
+    for (to, [r, g, b]) in column.chunks_exact_mut(4).zip(colors) {
+        to.copy_from_slice(&[(r >> shift) as u8, (g >> shift) as u8, (b >> shift) as u8, 255]);
     }
 }
 
 /// Low bytes come xor-ed with the high ones: zero where 8-bit values were widened by repetition.
-fn push_low_colors(records: &[u8], encoding: &Encoding, column: &mut Vec<u8>) {
-    for color in record_colors(records, encoding.schema) {
+fn push_low_colors(records: &[u8], stride: usize, encoding: &Encoding, column: &mut Vec<u8>) {
+    column.clear();
+    for color in record_colors(records, stride, encoding.schema) {
         column.extend_from_slice(&color.map(|channel| (channel ^ channel >> 8) as u8));
     }
 }
 
-fn push_attribute(
-    records: &[u8],
-    record_bytes: usize,
-    attribute: &Attribute,
-    column: &mut Vec<u8>,
-) {
-    let (start, bytes) = (attribute.record_offset as usize, attribute.bytes());
-    for record in records.chunks_exact(record_bytes) {
-        column.extend_from_slice(&record[start..start + bytes]);
+/// Replaces `column` by an attribute's values. `records` begin after their coordinates.
+fn take_column(records: &[u8], stride: usize, attribute: &Attribute, column: &mut Vec<u8>) {
+    fn take<const N: usize>(records: &[u8], stride: usize, offset: usize, column: &mut [u8]) {
+        for (value, record) in column.chunks_exact_mut(N).zip(records.chunks_exact(stride)) {
+            value.copy_from_slice(&record[offset..offset + N]);
+        }
+    }
+    let (offset, bytes) = (attribute.record_offset as usize - COORDINATE_BYTES, attribute.bytes());
+    column.clear();
+    column.resize(records.len() / stride * bytes, 0);
+    match bytes {
+        1 => take::<1>(records, stride, offset, column),
+        2 => take::<2>(records, stride, offset, column),
+        4 => take::<4>(records, stride, offset, column),
+        6 => take::<6>(records, stride, offset, column),
+        8 => take::<8>(records, stride, offset, column),
+        _ => {
+            let values = column.chunks_exact_mut(bytes);
+            for (value, record) in values.zip(records.chunks_exact(stride)) {
+                value.copy_from_slice(&record[offset..offset + bytes]);
+            }
+        }
     }
 }
 
 /// Smallest and largest value per component; values that are not numbers do not count.
 fn value_ranges(attribute: &Attribute, column: &[u8]) -> Vec<ValueRange> {
-    let components = usize::from(attribute.components);
-    let step = attribute.scalar.bytes();
-    let mut ranges = vec![EMPTY_RANGE; components];
-    // One byte is by far the most common component; its range needs no conversion per value.
-    if attribute.scalar == Scalar::U8 {
-        for (component, range) in ranges.iter_mut().enumerate() {
-            let values = column[component..].iter().step_by(components);
-            let (min, max) = values.fold((u8::MAX, u8::MIN), |(a, b), &v| (a.min(v), b.max(v)));
-            *range = ValueRange { min: f64::from(min), max: f64::from(max) };
-        }
-        return ranges;
+    /// In the type itself, so that no value is converted but the two that remain.
+    fn integers<T: Copy + Ord, const N: usize>(
+        column: &[u8],
+        components: usize,
+        read: impl Fn([u8; N]) -> T,
+        widen: impl Fn(T) -> f64,
+    ) -> Vec<ValueRange> {
+        let value = |bytes: &[u8]| read(bytes.try_into().expect("the slice has N bytes"));
+        let range = |component: usize| {
+            let Some(first) = column.get(component * N..(component + 1) * N) else {
+                return EMPTY_RANGE;
+            };
+            let (mut min, mut max) = (value(first), value(first));
+            if components == 1 {
+                for bytes in column.chunks_exact(N) {
+                    min = min.min(value(bytes));
+                    max = max.max(value(bytes));
+                }
+            } else {
+                for element in column.chunks_exact(N * components) {
+                    let value = value(&element[component * N..(component + 1) * N]);
+                    min = min.min(value);
+                    max = max.max(value);
+                }
+            }
+            ValueRange { min: widen(min), max: widen(max) }
+        };
+        (0..components).map(range).collect()
     }
-    for value in column.chunks_exact(step * components) {
-        for (range, component) in ranges.iter_mut().zip(value.chunks_exact(step)) {
-            let number = attribute.scalar.read(component);
-            range.min = range.min.min(number);
-            range.max = range.max.max(number);
+    fn floats<const N: usize>(
+        column: &[u8],
+        components: usize,
+        read: impl Fn([u8; N]) -> f64,
+    ) -> Vec<ValueRange> {
+        let mut ranges = vec![EMPTY_RANGE; components];
+        for element in column.chunks_exact(N * components) {
+            for (range, bytes) in ranges.iter_mut().zip(element.chunks_exact(N)) {
+                let value = read(bytes.try_into().expect("the slice has N bytes"));
+                range.min = range.min.min(value);
+                range.max = range.max.max(value);
+            }
         }
+        ranges
     }
-    ranges
+    let n = usize::from(attribute.components);
+    match attribute.scalar {
+        Scalar::U8 => integers(column, n, u8::from_le_bytes, f64::from),
+        Scalar::I8 => integers(column, n, i8::from_le_bytes, f64::from),
+        Scalar::U16 => integers(column, n, u16::from_le_bytes, f64::from),
+        Scalar::I16 => integers(column, n, i16::from_le_bytes, f64::from),
+        Scalar::U32 => integers(column, n, u32::from_le_bytes, f64::from),
+        Scalar::I32 => integers(column, n, i32::from_le_bytes, f64::from),
+        Scalar::U64 => integers(column, n, u64::from_le_bytes, |v| v as f64),
+        Scalar::I64 => integers(column, n, i64::from_le_bytes, |v| v as f64),
+        Scalar::F32 => floats(column, n, |bytes| f64::from(f32::from_le_bytes(bytes))),
+        Scalar::F64 => floats(column, n, f64::from_le_bytes),
+    }
 }
 
 /// The range of no values; joins with any other.

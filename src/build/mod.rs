@@ -1,25 +1,33 @@
 //! The preprocessor: scan files into the nodes of a store, within a bound on memory.
 //!
-//! One pass over the input finds its true bounds (headers are not trusted). What fits memory is
-//! sorted by Morton code and built top down, in parallel (`subtree`, `point_tree`); what does not
-//! is partitioned on disk first (`out_of_core`). Both give the same octree, byte for byte, for any
-//! number of threads and any memory cap.
+//! One pass over the input finds its true bounds (headers are not trusted). A second sorts the
+//! points into chunks of neighbours (`plan`, `partition`), in pages that stay in memory as long as
+//! there is room (`pages`). Chunks are built side by side (`chunk`, `home`, `node`); nodes that
+//! reach over several are put together from their parts (`spanning`). The octree is the same, byte
+//! for byte, for any number of threads and any memory cap.
 //! After: Wimmer and Scheiblauer, "Instant Points", 2006; departures: `docs/instant-points.md`.
 
+mod budget;
+mod chunk;
 mod convert;
 mod encode;
 mod error;
+mod home;
+mod in_order;
+mod node;
 mod options;
-mod out_of_core;
-mod point_tree;
+mod pages;
+mod partition;
+mod plan;
 mod progress;
 mod rows;
+mod sort;
 mod sources;
-mod spill;
-mod subtree;
+mod spanning;
+mod survey;
 
-pub use convert::{ConvertReport, convert};
+pub use convert::{ConvertReport, StageTime, convert};
 pub use error::BuildError;
+pub use node::Representative;
 pub use options::{ConvertOptions, DEPTH_RANGE, available_memory};
-pub use point_tree::Representative;
 pub use progress::{Progress, Silent, Stage};

@@ -5,9 +5,7 @@
 pub enum Stage {
     /// Reading points and finding bounds.
     Read,
-    /// Counting points per region.
-    Count,
-    /// Sorting points into regions on disk.
+    /// Sorting points into chunks of neighbours.
     Partition,
     /// Building and encoding nodes.
     Build,
@@ -20,7 +18,6 @@ impl Stage {
     pub fn name(self) -> &'static str {
         match self {
             Stage::Read => "read",
-            Stage::Count => "count",
             Stage::Partition => "partition",
             Stage::Build => "build",
             Stage::Write => "write",

@@ -1,91 +1,134 @@
-//! Records of a job in memory, in input order.
+//! Points on their way through the build: rows of a Morton code, an input index and attributes.
 
-use crate::points::{Attribute, Scalar, Schema, names};
+use crate::geometry::MortonKey;
+use crate::points::{Attribute, COORDINATE_BYTES, Scalar, Schema, names};
 
-/// A view of records, each optionally preceded by its input index (8 bytes, little-endian).
-#[derive(Clone, Copy)]
-pub struct Rows<'a> {
-    bytes: &'a [u8],
-    stride: usize,
-    record_start: usize,
-    /// Where a row's input index stands; without one, rows count on from `first_index`.
-    index_start: Option<usize>,
-    first_index: u64,
-    color_offset: Option<usize>,
+/// How a point's row is laid out. The attributes are the record's bytes after its coordinates,
+/// which the Morton code holds.
+#[derive(Clone, Copy, Debug)]
+pub struct RowLayout {
+    key_bytes: usize,
+    index_bytes: usize,
+    attribute_bytes: usize,
+    /// Where the colour stands among the attributes.
+    color: Option<usize>,
 }
 
-/// Bytes of the input index before each record of spilled rows.
-pub const INDEX_BYTES: usize = 8;
-
-impl<'a> Rows<'a> {
-    /// Records one after the other; the first has the given input index.
-    pub fn consecutive(bytes: &'a [u8], schema: &Schema, first_index: u64) -> Self {
-        Rows {
-            bytes,
-            stride: schema.record_bytes as usize,
-            record_start: 0,
-            index_start: None,
-            first_index,
-            color_offset: color_offset(schema),
+impl RowLayout {
+    /// The layout for records of a schema, for an input of so many points.
+    pub fn new<K: MortonKey>(schema: &Schema, points: u64) -> Self {
+        RowLayout {
+            key_bytes: K::BYTES,
+            index_bytes: if points > u64::from(u32::MAX) { 8 } else { 4 },
+            attribute_bytes: schema.record_bytes as usize - COORDINATE_BYTES,
+            color: color_offset(schema).map(|offset| offset - COORDINATE_BYTES),
         }
     }
 
-    /// Records each preceded by its input index.
-    pub fn indexed(bytes: &'a [u8], schema: &Schema) -> Self {
-        Rows::with_prefix(bytes, schema, 0, INDEX_BYTES)
+    /// Bytes of a row.
+    pub fn stride(&self) -> usize {
+        self.key_bytes + self.index_bytes + self.attribute_bytes
     }
 
-    /// Records each preceded by a prefix of `prefix_bytes` that has the input index at
-    /// `index_start`.
-    pub fn with_prefix(
-        bytes: &'a [u8],
-        schema: &Schema,
-        index_start: usize,
-        prefix_bytes: usize,
-    ) -> Self {
-        Rows {
-            bytes,
-            stride: prefix_bytes + schema.record_bytes as usize,
-            record_start: prefix_bytes,
-            index_start: Some(index_start),
-            first_index: 0,
-            color_offset: color_offset(schema),
-        }
+    /// Bytes of a row's attributes.
+    pub fn attribute_bytes(&self) -> usize {
+        self.attribute_bytes
     }
 
-    /// Number of records.
-    pub fn len(&self) -> usize {
-        self.bytes.len() / self.stride
-    }
-
-    /// A whole row: the index if there is one, and the record.
-    pub fn row(&self, row: u32) -> &'a [u8] {
-        let start = row as usize * self.stride;
-        &self.bytes[start..start + self.stride]
-    }
-
-    /// A record.
-    pub fn record(&self, row: u32) -> &'a [u8] {
-        &self.row(row)[self.record_start..]
-    }
-
-    /// Place of a record in the whole input.
-    pub fn input_index(&self, row: u32) -> u64 {
-        let Some(start) = self.index_start else {
-            return self.first_index + u64::from(row);
-        };
-        let bytes = &self.row(row)[start..start + INDEX_BYTES];
-        u64::from_le_bytes(bytes.try_into().expect("an index has 8 bytes"))
-    }
-
-    /// Whether records have a colour.
+    /// Whether rows have a colour.
     pub fn has_color(&self) -> bool {
-        self.color_offset.is_some()
+        self.color.is_some()
     }
 
-    /// Colour of a record; black without one.
-    pub fn color(&self, row: u32) -> [u16; 3] {
-        self.color_offset.map_or([0; 3], |offset| read_color(&self.record(row)[offset..]))
+    /// Fills a row. `attributes` are a record's bytes after its coordinates.
+    #[inline]
+    pub fn write<K: MortonKey>(&self, row: &mut [u8], key: K, index: u64, attributes: &[u8]) {
+        key.write(row);
+        let rest = &mut row[K::BYTES..];
+        if self.index_bytes == 4 {
+            rest[..4].copy_from_slice(&(index as u32).to_le_bytes());
+            copy_short(&mut rest[4..], attributes);
+        } else {
+            rest[..8].copy_from_slice(&index.to_le_bytes());
+            copy_short(&mut rest[8..], attributes);
+        }
+    }
+
+    /// Place of a row's point in the whole input.
+    #[inline]
+    pub fn index(&self, row: &[u8]) -> u64 {
+        let bytes = &row[self.key_bytes..];
+        if self.index_bytes == 4 {
+            u64::from(u32::from_le_bytes(bytes[..4].try_into().expect("4 bytes")))
+        } else {
+            u64::from_le_bytes(bytes[..8].try_into().expect("8 bytes"))
+        }
+    }
+
+    /// A row's attributes.
+    #[inline]
+    pub fn attributes<'a>(&self, row: &'a [u8]) -> &'a [u8] {
+        &row[self.key_bytes + self.index_bytes..]
+    }
+
+    /// A row's colour; black without one.
+    #[inline]
+    pub fn color(&self, row: &[u8]) -> [u16; 3] {
+        self.color.map_or([0; 3], |offset| read_color(&self.attributes(row)[offset..]))
+    }
+}
+
+/// Copies a handful of bytes without calling out. The slices have the same length.
+#[inline]
+pub fn copy_short(to: &mut [u8], from: &[u8]) {
+    let length = from.len();
+    let to = &mut to[..length];
+    if length < 8 || length > 64 {
+        to.copy_from_slice(from);
+        return;
+    }
+    let mut at = 0;
+    while at + 8 <= length {
+        to[at..at + 8].copy_from_slice(&from[at..at + 8]);
+        at += 8;
+    }
+    to[length - 8..].copy_from_slice(&from[length - 8..]);
+}
+
+/// Rows in pages that each hold the same power of two of rows, except that any may end early.
+#[derive(Clone, Copy)]
+pub struct RowTable<'a> {
+    pages: &'a [&'a [u8]],
+    page_shift: u32,
+    layout: RowLayout,
+}
+
+impl<'a> RowTable<'a> {
+    /// A view of pages of at most `1 << page_shift` rows.
+    pub fn new(pages: &'a [&'a [u8]], page_shift: u32, layout: RowLayout) -> Self {
+        RowTable { pages, page_shift, layout }
+    }
+
+    /// How rows are laid out.
+    pub fn layout(&self) -> RowLayout {
+        self.layout
+    }
+
+    /// The row of a slot: page number and place within the page.
+    #[inline]
+    pub fn row(&self, slot: u32) -> &'a [u8] {
+        let stride = self.layout.stride();
+        let place = (slot & ((1 << self.page_shift) - 1)) as usize * stride;
+        &self.pages[(slot >> self.page_shift) as usize][place..place + stride]
+    }
+
+    /// All slots with their rows.
+    pub fn slots(&self) -> impl Iterator<Item = (u32, &'a [u8])> {
+        let (shift, stride) = (self.page_shift, self.layout.stride());
+        self.pages.iter().enumerate().flat_map(move |(page, rows)| {
+            let first = (page as u32) << shift;
+            (first..).zip(rows.chunks_exact(stride))
+        })
     }
 }
 
@@ -97,6 +140,9 @@ pub fn color_offset(schema: &Schema) -> Option<usize> {
 }
 
 /// Three little-endian 16-bit channels.
+#[inline]
 pub fn read_color(bytes: &[u8]) -> [u16; 3] {
-    [0, 2, 4].map(|at| u16::from_le_bytes([bytes[at], bytes[at + 1]]))
+    let bytes: &[u8; 6] = bytes[..6].try_into().expect("a colour has 6 bytes");
+    let &[r, s, g, h, b, c] = bytes;
+    [u16::from_le_bytes([r, s]), u16::from_le_bytes([g, h]), u16::from_le_bytes([b, c])]
 }

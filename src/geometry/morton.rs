@@ -24,8 +24,23 @@ pub trait MortonKey: Copy + Ord + Send + Sync + Debug + Hash + Default + 'static
     fn ancestor(self, levels: u32) -> Self;
     /// The octant (0..8) of the enclosing cell `levels` levels up, within that cell's parent.
     fn octant(self, levels: u32) -> usize;
-    /// Byte `i` counted from the lowest, for radix sorting.
-    fn byte(self, i: usize) -> usize;
+    /// The `count` bits (at most 32) from bit `low` up, for radix sorting.
+    fn digit(self, low: u32, count: u32) -> usize;
+    /// The lowest `count` bits, as many of them as fit 64.
+    fn low_bits(self, count: u32) -> u64;
+    /// Number of low bits in which two codes may differ: 0 if they are equal.
+    fn differing_bits(self, other: Self) -> u32;
+    /// The first code within this cell, `levels` levels down.
+    fn first_within(self, levels: u32) -> Self;
+    /// The next code.
+    fn next(self) -> Self;
+    /// Smallest and largest coordinates of cells, per axis; the largest and the smallest numbers
+    /// without cells.
+    fn bounds(codes: impl Iterator<Item = Self>) -> [[u32; 3]; 2];
+    /// Writes the code's [`BYTES`](Self::BYTES) bytes, little-endian.
+    fn write(self, bytes: &mut [u8]);
+    /// Reads what [`write`](Self::write) wrote.
+    fn read(bytes: &[u8]) -> Self;
     /// The lowest `3 bits` bits: the code relative to the cell that encloses it `bits` levels up.
     fn local(self, bits: u32) -> Self;
     /// The low 64 bits.
@@ -52,8 +67,47 @@ impl MortonKey for u64 {
     fn octant(self, levels: u32) -> usize {
         (self.ancestor(levels) & 7) as usize
     }
-    fn byte(self, i: usize) -> usize {
-        (self >> (8 * i)) as usize & 0xff
+    fn digit(self, low: u32, count: u32) -> usize {
+        (self >> low) as usize & ((1 << count) - 1)
+    }
+    fn low_bits(self, count: u32) -> u64 {
+        self as u64 & 1u64.checked_shl(count).map_or(u64::MAX, |bit| bit - 1)
+    }
+    fn differing_bits(self, other: Self) -> u32 {
+        Self::BITS - (self ^ other).leading_zeros()
+    }
+    fn first_within(self, levels: u32) -> Self {
+        self.checked_shl(3 * levels).unwrap_or(0)
+    }
+    fn next(self) -> Self {
+        self + 1
+    }
+    fn bounds(codes: impl Iterator<Item = Self>) -> [[u32; 3]; 2] {
+        // The bits of one axis, left where they are, compare as the coordinate does.
+        let axes: [Self; 3] = [
+            [u32::MAX >> (32 - Self::MAX_BITS), 0, 0],
+            [0, u32::MAX >> (32 - Self::MAX_BITS), 0],
+            [0, 0, u32::MAX >> (32 - Self::MAX_BITS)],
+        ]
+        .map(Self::encode);
+        let (mut low, mut high, mut any) = ([Self::MAX; 3], [0; 3], false);
+        for code in codes {
+            any = true;
+            for (i, axis) in axes.iter().enumerate() {
+                low[i] = low[i].min(code & axis);
+                high[i] = high[i].max(code & axis);
+            }
+        }
+        if !any {
+            return [[u32::MAX; 3], [0; 3]];
+        }
+        [low[0] | low[1] | low[2], high[0] | high[1] | high[2]].map(Self::decode)
+    }
+    fn write(self, bytes: &mut [u8]) {
+        bytes[..8].copy_from_slice(&self.to_le_bytes());
+    }
+    fn read(bytes: &[u8]) -> Self {
+        u64::from_le_bytes(bytes[..8].try_into().expect("a code has 8 bytes"))
     }
     fn local(self, bits: u32) -> Self {
         self & 1u64.checked_shl(3 * bits).map_or(u64::MAX, |bit| bit - 1)
@@ -89,8 +143,49 @@ impl MortonKey for u128 {
     fn octant(self, levels: u32) -> usize {
         (self.ancestor(levels) & 7) as usize
     }
-    fn byte(self, i: usize) -> usize {
-        (self >> (8 * i)) as usize & 0xff
+    fn digit(self, low: u32, count: u32) -> usize {
+        (self >> low) as usize & ((1 << count) - 1)
+    }
+    fn low_bits(self, count: u32) -> u64 {
+        self as u64 & 1u64.checked_shl(count).map_or(u64::MAX, |bit| bit - 1)
+    }
+    fn differing_bits(self, other: Self) -> u32 {
+        Self::BITS - (self ^ other).leading_zeros()
+    }
+    fn first_within(self, levels: u32) -> Self {
+        self.checked_shl(3 * levels).unwrap_or(0)
+    }
+    fn next(self) -> Self {
+        self + 1
+    }
+    fn bounds(codes: impl Iterator<Item = Self>) -> [[u32; 3]; 2] {
+        // The bits of one axis, left where they are, compare as the coordinate does.
+        let axes: [Self; 3] = [
+            [u32::MAX >> (32 - Self::MAX_BITS), 0, 0],
+            [0, u32::MAX >> (32 - Self::MAX_BITS), 0],
+            [0, 0, u32::MAX >> (32 - Self::MAX_BITS)],
+        ]
+        .map(Self::encode);
+        let (mut low, mut high, mut any) = ([Self::MAX; 3], [0; 3], false);
+        for code in codes {
+            any = true;
+            for (i, axis) in axes.iter().enumerate() {
+                low[i] = low[i].min(code & axis);
+                high[i] = high[i].max(code & axis);
+            }
+        }
+        if !any {
+            return [[u32::MAX; 3], [0; 3]];
+        }
+        [low[0] | low[1] | low[2], high[0] | high[1] | high[2]].map(Self::decode)
+    }
+    fn write(self, bytes: &mut [u8]) {
+        bytes[..12].copy_from_slice(&self.to_le_bytes()[..12]);
+    }
+    fn read(bytes: &[u8]) -> Self {
+        let mut wide = [0; 16];
+        wide[..12].copy_from_slice(&bytes[..12]);
+        u128::from_le_bytes(wide)
     }
     fn local(self, bits: u32) -> Self {
         self & 1u128.checked_shl(3 * bits).map_or(u128::MAX, |bit| bit - 1)
@@ -148,6 +243,23 @@ mod tests {
             let code = u64::encode([x, y, z]);
             prop_assert_eq!(u128::from(code), encode_slowly([x, y, z], 21));
             prop_assert_eq!(code.decode(), [x, y, z]);
+        }
+
+        #[test]
+        fn bounds_are_those_of_each_axis(cells in proptest::collection::vec(any::<[u32; 3]>(), 0..20)) {
+            let axis = |i: usize| cells.iter().map(move |cell| cell[i]);
+            let low = [0, 1, 2].map(|i| axis(i).min().unwrap_or(u32::MAX));
+            let high = [0, 1, 2].map(|i| axis(i).max().unwrap_or(0));
+            let codes = cells.iter().map(|&cell| u128::encode(cell));
+            prop_assert_eq!(u128::bounds(codes), [low, high]);
+            let small = |cell: [u32; 3]| cell.map(|c| if c == u32::MAX { c } else { c & 0x1f_ffff });
+            let codes = cells.iter().map(|&cell| u64::encode(small(cell)));
+            if !cells.is_empty() {
+                let [low, high] = u64::bounds(codes);
+                let axis = |i: usize| cells.iter().map(move |&cell| small(cell)[i] & 0x1f_ffff);
+                prop_assert_eq!(low, [0, 1, 2].map(|i| axis(i).min().unwrap_or(0)));
+                prop_assert_eq!(high, [0, 1, 2].map(|i| axis(i).max().unwrap_or(0)));
+            }
         }
 
         #[test]

@@ -140,9 +140,14 @@ impl Schema {
 }
 
 /// The integer coordinates at the start of a record.
+#[inline]
 pub fn record_coordinates(record: &[u8]) -> [i32; 3] {
-    let axis = |i: usize| {
-        i32::from_le_bytes(record[4 * i..4 * i + 4].try_into().expect("the slice has 4 bytes"))
-    };
-    [axis(0), axis(1), axis(2)]
+    let bytes: &[u8; COORDINATE_BYTES] =
+        record[..COORDINATE_BYTES].try_into().expect("the slice has 12 bytes");
+    let &[a, b, c, d, e, f, g, h, i, j, k, l] = bytes;
+    [
+        i32::from_le_bytes([a, b, c, d]),
+        i32::from_le_bytes([e, f, g, h]),
+        i32::from_le_bytes([i, j, k, l]),
+    ]
 }

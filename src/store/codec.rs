@@ -40,6 +40,7 @@ impl ElementShape {
 #[derive(Default)]
 pub struct CodecScratch {
     planes: Vec<u8>,
+    packed: Vec<u8>,
 }
 
 /// Compresses `raw`, whole elements of `shape`, and appends the result to `out`.
@@ -51,26 +52,31 @@ pub fn encode(
     out: &mut Vec<u8>,
 ) -> usize {
     assert_eq!(raw.len() % shape.bytes(), 0, "a column holds whole elements");
-    scratch.planes.resize(raw.len(), 0);
-    match shape.component_bytes {
-        1 => to_planes::<1>(shape, raw, &mut scratch.planes),
-        2 => to_planes::<2>(shape, raw, &mut scratch.planes),
-        4 => to_planes::<4>(shape, raw, &mut scratch.planes),
-        8 => to_planes::<8>(shape, raw, &mut scratch.planes),
-        other => unreachable!("components of {other} bytes do not exist"),
+    if scratch.planes.len() < raw.len() {
+        scratch.planes.resize(raw.len(), 0);
     }
-    let start = out.len();
-    let bound = lz4_flex::block::get_maximum_output_size(raw.len());
-    out.resize(start + bound, 0);
-    let written = lz4_flex::block::compress_into(&scratch.planes, &mut out[start..])
-        .expect("the buffer has LZ4's stated bound");
-    if written < raw.len() {
-        out.truncate(start + written);
+    let planes = if shape.filter == Filter::Planes && shape.bytes() == 1 {
+        raw
     } else {
-        out.truncate(start);
-        out.extend_from_slice(&scratch.planes);
+        let planes = &mut scratch.planes[..raw.len()];
+        match shape.component_bytes {
+            1 => to_planes::<1>(shape, raw, planes),
+            2 => to_planes::<2>(shape, raw, planes),
+            4 => to_planes::<4>(shape, raw, planes),
+            8 => to_planes::<8>(shape, raw, planes),
+            other => unreachable!("components of {other} bytes do not exist"),
+        }
+        planes
+    };
+    let bound = lz4_flex::block::get_maximum_output_size(raw.len());
+    if scratch.packed.len() < bound {
+        scratch.packed.resize(bound, 0);
     }
-    out.len() - start
+    let written = lz4_flex::block::compress_into(planes, &mut scratch.packed)
+        .expect("the buffer has LZ4's stated bound");
+    let stored = if written < raw.len() { &scratch.packed[..written] } else { planes };
+    out.extend_from_slice(stored);
+    stored.len()
 }
 
 /// Decodes what [`encode`] wrote into `raw`, whose length says how many elements there are.
@@ -85,13 +91,15 @@ pub fn decode(
     let planes = if stored.len() == raw.len() {
         stored
     } else {
-        scratch.planes.resize(raw.len(), 0);
-        let length = lz4_flex::block::decompress_into(stored, &mut scratch.planes)
+        if scratch.planes.len() < raw.len() {
+            scratch.planes.resize(raw.len(), 0);
+        }
+        let length = lz4_flex::block::decompress_into(stored, &mut scratch.planes[..raw.len()])
             .map_err(|error| format!("LZ4: {error}"))?;
         if length != raw.len() {
             return Err(format!("decodes to {length} bytes, expected {}", raw.len()));
         }
-        &scratch.planes
+        &scratch.planes[..raw.len()]
     };
     match shape.component_bytes {
         1 => from_planes::<1>(shape, planes, raw),
@@ -125,6 +133,25 @@ fn unzigzag<const N: usize>(coded: u64) -> u64 {
 }
 
 fn to_planes<const N: usize>(shape: ElementShape, raw: &[u8], planes: &mut [u8]) {
+    // One loop per filter: the choice must not be made per element.
+    match shape.filter {
+        Filter::Planes => fill_planes::<N>(shape, raw, planes, |value, _| value),
+        Filter::DeltaPlanes => fill_planes::<N>(shape, raw, planes, |value, previous| {
+            wrap::<N>(value.wrapping_sub(previous))
+        }),
+        Filter::ZigzagDeltaPlanes => fill_planes::<N>(shape, raw, planes, |value, previous| {
+            zigzag::<N>(wrap::<N>(value.wrapping_sub(previous)))
+        }),
+    }
+}
+
+#[inline(always)]
+fn fill_planes<const N: usize>(
+    shape: ElementShape,
+    raw: &[u8],
+    planes: &mut [u8],
+    code: impl Fn(u64, u64) -> u64,
+) {
     let stride = shape.bytes();
     let count = raw.len() / stride;
     if count == 0 {
@@ -135,11 +162,7 @@ fn to_planes<const N: usize>(shape: ElementShape, raw: &[u8], planes: &mut [u8])
         let mut previous = 0;
         for (i, element) in raw.chunks_exact(stride).enumerate() {
             let value = load::<N>(&element[component * N..]);
-            let coded = match shape.filter {
-                Filter::Planes => value,
-                Filter::DeltaPlanes => wrap::<N>(value.wrapping_sub(previous)),
-                Filter::ZigzagDeltaPlanes => zigzag::<N>(wrap::<N>(value.wrapping_sub(previous))),
-            };
+            let coded = code(value, previous);
             previous = value;
             for (plane, byte) in columns.iter_mut().zip(coded.to_le_bytes()) {
                 plane[i] = byte;

@@ -10,35 +10,19 @@ mod common_lattice;
 mod describe;
 mod layout;
 mod source;
-mod survey;
 
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use glam::{DVec3, I64Vec3};
 use rayon::prelude::*;
 
 use crate::build::BuildError;
-use crate::build::rows::Rows;
 use crate::input::{Block, BlockBuffer, ReadOptions, Scan, ScanError};
 use crate::points::{Attribute, Lattice, Scalar, Schema, names, record_coordinates};
 use adapt::{Adapter, Coordinates};
 use common_lattice::{Fit, Wish, common_lattice, shared_lattice};
 use layout::union_layout;
 pub use source::Source;
-pub use survey::Survey;
-
-/// Records decoded together, all of one file.
-pub struct Batch<'a> {
-    /// The records with their places in the whole input.
-    pub rows: Rows<'a>,
-    /// What to add to their coordinates to come to the store's lattice.
-    pub shift: [i64; 3],
-    /// The records as bytes.
-    pub records: &'a [u8],
-    /// Index of their file.
-    pub source: usize,
-}
 
 /// Input files in a common record layout, on a common lattice.
 pub struct Sources {
@@ -46,9 +30,6 @@ pub struct Sources {
     schema: Schema,
     lattice: Lattice,
 }
-
-/// Blocks that claim more points than this are streamed instead of decoded side by side.
-const STREAMED_POINTS: u64 = 1 << 18;
 
 impl Sources {
     /// Opens all files and finds what they have in common.
@@ -161,72 +142,22 @@ impl Sources {
         self.scans.iter().any(|source| source.scan.is_compressed())
     }
 
-    /// Calls `take` with all records in input order, some batches at a time.
-    pub fn for_each_group(
-        &self,
-        cancelled: &AtomicBool,
-        take: &mut dyn FnMut(&[Batch]) -> Result<(), BuildError>,
-    ) -> Result<(), BuildError> {
-        let group_blocks = 2 * rayon::current_num_threads();
-        let mut buffers: Vec<(BlockBuffer, Vec<u8>)> = Vec::new();
-        buffers.resize_with(group_blocks, Default::default);
-        let mut next_index = 0u64;
-        for (source, scan) in self.scans.iter().enumerate() {
-            let is_streamed = |block: &Block| block.points > STREAMED_POINTS;
-            let mut blocks = scan.blocks();
-            while let Some(first) = blocks.first() {
-                if cancelled.load(Ordering::Relaxed) {
-                    return Err(BuildError::Interrupted);
-                }
-                if is_streamed(first) {
-                    self.stream_block(source, first, &mut buffers[0].0, &mut next_index, take)?;
-                    blocks = &blocks[1..];
-                    continue;
-                }
-                let length =
-                    blocks.iter().take(group_blocks).take_while(|b| !is_streamed(b)).count();
-                let (group, rest) = blocks.split_at(length);
-                blocks = rest;
-                group.par_iter().zip(&mut buffers).try_for_each(|(block, (buffer, records))| {
-                    records.clear();
-                    scan.read_block(block, buffer, &mut |_, part| {
-                        records.extend_from_slice(part);
-                        Ok::<(), ScanError>(())
-                    })?;
-                    Ok::<(), ScanError>(())
-                })?;
-                let mut batches = Vec::with_capacity(length);
-                for (_, records) in &buffers[..length] {
-                    let batch = self.batch(source, records, next_index);
-                    next_index += batch.rows.len() as u64;
-                    batches.push(batch);
-                }
-                take(&batches)?;
-            }
-        }
-        Ok(())
+    /// All blocks of all files, in input order, each with its file.
+    pub fn blocks(&self) -> Vec<(usize, &Block)> {
+        let scans = self.scans.iter().enumerate();
+        scans.flat_map(|(i, scan)| scan.blocks().iter().map(move |block| (i, block))).collect()
     }
 
-    fn stream_block(
+    /// Hands out the records of a block in order, some at a time.
+    pub fn read_block(
         &self,
         source: usize,
         block: &Block,
         buffer: &mut BlockBuffer,
-        next_index: &mut u64,
-        take: &mut dyn FnMut(&[Batch]) -> Result<(), BuildError>,
+        take: &mut dyn FnMut(&[u8]) -> Result<(), BuildError>,
     ) -> Result<(), BuildError> {
-        self.scans[source].read_block(block, buffer, &mut |_, records| {
-            let batch = self.batch(source, records, *next_index);
-            *next_index += batch.rows.len() as u64;
-            take(&[batch])
-        })?;
+        self.scans[source].read_block(block, buffer, &mut |_, records| take(records))?;
         Ok(())
-    }
-
-    /// Wraps records of a source that begin at a place in the input.
-    pub fn batch<'a>(&self, source: usize, records: &'a [u8], first_index: u64) -> Batch<'a> {
-        let rows = Rows::consecutive(records, self.schema(), first_index);
-        Batch { rows, shift: self.scans[source].shift, records, source }
     }
 }
 

@@ -1,0 +1,230 @@
+//! One chunk: from its rows to finished nodes, and what it gives to nodes that reach beyond it.
+//!
+//! The points are sorted, each finds the depth it is at home at (`home`), and one sweep in Morton
+//! order collects the points of the node open at each depth. A node is finished when the sweep
+//! leaves its cell; one that fewer than `threshold` points entered is dissolved: its points stay
+//! in its parent beyond one per finest cell.
+
+use std::collections::HashMap;
+
+use crate::build::BuildError;
+use crate::build::encode::FinishedNode;
+use crate::build::home::{BEYOND, Homes, Waiting};
+use crate::build::node::{NodeBuilder, SortedPoints, TreeRules};
+use crate::build::plan::Chunk;
+use crate::build::rows::RowTable;
+use crate::build::sort::{Item, SortScratch, sort_by_key};
+use crate::geometry::MortonKey;
+
+/// Points of a chunk that belong to a node reaching beyond the chunk, or to one of its dissolved
+/// children.
+#[derive(Debug)]
+pub struct Contribution<K> {
+    /// Depth of the node.
+    pub depth: u32,
+    /// Its code at that depth.
+    pub code: K,
+    /// Points of the chunk that entered the node.
+    pub entering: u64,
+    /// Rows of the points.
+    pub rows: Vec<u8>,
+    /// Per point whether a cell of the node takes it.
+    pub kept: Vec<bool>,
+}
+
+/// A point taken by a cell that several chunks share: its input index and its depth.
+pub type Taken = (u64, u32);
+
+/// Memory of one worker.
+#[derive(Default)]
+pub struct ChunkScratch<K> {
+    items: Vec<Item<K>>,
+    sort: SortScratch<K>,
+    waiting: Vec<Waiting<K>>,
+    homes: Vec<u8>,
+    open: Vec<OpenNode>,
+    indices: Vec<u64>,
+    pub(super) nodes: NodeBuilder<K>,
+}
+
+/// The node that the sweep is in, at one depth.
+#[derive(Default)]
+struct OpenNode {
+    /// Its points' places; in Morton order if none came from dissolved children.
+    members: Vec<u32>,
+    /// Members from dissolved children.
+    dissolved: u64,
+    /// Points that entered nodes below it.
+    below: u64,
+}
+
+/// Where a chunk's results go.
+pub struct ChunkSink<'a, K> {
+    /// Takes nodes that lie within the chunk.
+    pub finished: &'a mut dyn FnMut(FinishedNode) -> Result<(), BuildError>,
+    /// Collects what belongs to nodes that do not.
+    pub contributions: Vec<Contribution<K>>,
+}
+
+/// Builds what a chunk can decide alone.
+pub fn build_chunk<K: MortonKey>(
+    rules: &TreeRules,
+    chunk: &Chunk<K>,
+    rows: RowTable,
+    taken: &[Taken],
+    scratch: &mut ChunkScratch<K>,
+    sink: &mut ChunkSink<K>,
+) -> Result<(), BuildError> {
+    sort_rows(rows, scratch);
+    let homes = Homes { root_bits: rules.root_bits, levels: rules.levels };
+    find_homes(&homes, chunk, rows, taken, scratch);
+    sweep(rules, chunk, rows, scratch, sink)
+}
+
+/// Fills `items`: by Morton code, equal codes by input index.
+fn sort_rows<K: MortonKey>(rows: RowTable, scratch: &mut ChunkScratch<K>) {
+    let items = &mut scratch.items;
+    items.clear();
+    items.extend(rows.slots().map(|(slot, row)| Item { key: K::read(row), slot }));
+    sort_by_key(items, &mut scratch.sort);
+    let layout = rows.layout();
+    for equal in items.chunk_by_mut(|a, b| a.key == b.key) {
+        if equal.len() > 1 {
+            equal.sort_unstable_by_key(|item| layout.index(rows.row(item.slot)));
+        }
+    }
+}
+
+/// Fills `homes`, one per item.
+fn find_homes<K: MortonKey>(
+    homes: &Homes,
+    chunk: &Chunk<K>,
+    rows: RowTable,
+    taken: &[Taken],
+    scratch: &mut ChunkScratch<K>,
+) {
+    let ChunkScratch { items, waiting, homes: out, indices, .. } = scratch;
+    let layout = rows.layout();
+    out.clear();
+    out.resize(items.len(), 0);
+    indices.clear();
+    indices.extend(items.iter().map(|item| layout.index(rows.row(item.slot))));
+    let taken: HashMap<u64, u32> = taken.iter().copied().collect();
+    waiting.clear();
+    for (place, (item, &index)) in items.iter().zip(indices.iter()).enumerate() {
+        if !taken.is_empty()
+            && let Some(depth) = taken.get(&index)
+        {
+            out[place] = *depth as u8;
+            continue;
+        }
+        waiting.push(Waiting { key: item.key, index: index as u32, place: place as u32 });
+    }
+    if indices.iter().any(|&index| index > u64::from(u32::MAX)) {
+        // Only the order counts: ranks fit where indices do not.
+        let mut sorted = indices.clone();
+        sorted.sort_unstable();
+        for point in waiting.iter_mut() {
+            let index = &indices[point.place as usize];
+            point.index = sorted.partition_point(|other| other < index) as u32;
+        }
+    }
+    homes.assign(waiting, chunk.level - homes.levels, out);
+}
+
+/// Whether a node has cells outside of a chunk.
+fn reaches_beyond<K: MortonKey>(chunk: &Chunk<K>, depth: u32, key: K, root_bits: u32) -> bool {
+    let levels = root_bits - depth;
+    let code = key.ancestor(levels);
+    let starts_before = code.first_within(levels) < chunk.start;
+    // The end is inside if it is in the same cell but not its first code.
+    let ends_after = chunk
+        .end
+        .is_some_and(|end| end.ancestor(levels) == code && end.local(levels) != K::default());
+    starts_before || ends_after
+}
+
+fn sweep<K: MortonKey>(
+    rules: &TreeRules,
+    chunk: &Chunk<K>,
+    rows: RowTable,
+    scratch: &mut ChunkScratch<K>,
+    sink: &mut ChunkSink<K>,
+) -> Result<(), BuildError> {
+    let ChunkScratch { items, homes, open, nodes, .. } = scratch;
+    let Some(first) = items.first() else { return Ok(()) };
+    let depths = rules.max_depth() as usize + 1;
+    open.resize_with(depths, OpenNode::default);
+    let points = SortedPoints { items, homes, rows };
+    let mut sweep = Sweep { rules, chunk, points, open, nodes, sink };
+    let mut key = first.key;
+    let mut deepest = 0;
+    for (place, item) in items.iter().enumerate() {
+        let differing = item.key.differing_bits(key).div_ceil(3);
+        // Nodes at this depth and above contain both points.
+        let shared = rules.root_bits - differing;
+        if shared < deepest {
+            sweep.close_below(shared, deepest, key)?;
+            deepest = shared;
+        }
+        let home = u32::from(homes[place] & !BEYOND);
+        deepest = deepest.max(home);
+        sweep.open[home as usize].members.push(place as u32);
+        key = item.key;
+    }
+    sweep.close_below(0, deepest, key)?;
+    sweep.close(0, key)
+}
+
+struct Sweep<'a, 's, K> {
+    rules: &'a TreeRules<'a>,
+    chunk: &'a Chunk<K>,
+    points: SortedPoints<'a, K>,
+    open: &'a mut [OpenNode],
+    nodes: &'a mut NodeBuilder<K>,
+    sink: &'a mut ChunkSink<'s, K>,
+}
+
+impl<K: MortonKey> Sweep<'_, '_, K> {
+    /// Closes the open nodes deeper than `shared`, deepest first; `key` is of a point in them.
+    fn close_below(&mut self, shared: u32, deepest: u32, key: K) -> Result<(), BuildError> {
+        (shared + 1..=deepest).rev().try_for_each(|depth| self.close(depth, key))
+    }
+
+    fn close(&mut self, depth: u32, key: K) -> Result<(), BuildError> {
+        let mut node = std::mem::take(&mut self.open[depth as usize]);
+        let entering = node.members.len() as u64 - node.dissolved + node.below;
+        if entering == 0 {
+            return Ok(());
+        }
+        if node.dissolved > 0 {
+            // Runs of rising places: merged rather than sorted.
+            node.members.sort();
+        }
+        if reaches_beyond(self.chunk, depth, key, self.rules.root_bits) {
+            self.contribute(depth, key, entering, &node.members);
+        } else if depth == 0 || entering >= self.rules.threshold as u64 {
+            let finished = self.nodes.finish(self.rules, depth, &self.points, &node.members);
+            (self.sink.finished)(finished)?;
+        } else {
+            let parent = &mut self.open[depth as usize - 1];
+            parent.dissolved += node.members.len() as u64;
+            parent.members.extend_from_slice(&node.members);
+        }
+        if depth > 0 {
+            self.open[depth as usize - 1].below += entering;
+        }
+        node.members.clear();
+        self.open[depth as usize] = OpenNode { members: node.members, ..OpenNode::default() };
+        Ok(())
+    }
+
+    fn contribute(&mut self, depth: u32, key: K, entering: u64, members: &[u32]) {
+        let stride = self.points.rows.layout().stride();
+        let mut rows = Vec::with_capacity(members.len() * stride);
+        members.iter().for_each(|&place| rows.extend_from_slice(self.points.row(place)));
+        let kept = members.iter().map(|&place| self.points.is_kept(place, depth)).collect();
+        let code = key.ancestor(self.rules.root_bits - depth);
+        self.sink.contributions.push(Contribution { depth, code, entering, rows, kept });
+    }
+}

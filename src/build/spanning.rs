@@ -1,0 +1,125 @@
+//! Nodes that reach over several chunks: put together when the last of their chunks is done.
+
+use std::collections::BTreeMap;
+
+use crate::build::chunk::Contribution;
+use crate::build::encode::FinishedNode;
+use crate::build::home::BEYOND;
+use crate::build::node::{NodeBuilder, SortedPoints, TreeRules};
+use crate::build::rows::{RowLayout, RowTable};
+use crate::build::sort::{Item, SortScratch, sort_by_key};
+use crate::geometry::MortonKey;
+
+/// A node whose chunks are not all done.
+#[derive(Default)]
+struct Pending {
+    entering: u64,
+    rows: Vec<u8>,
+    kept: Vec<bool>,
+}
+
+/// A node whose points are all known.
+pub struct ReadyNode {
+    depth: u32,
+    rows: Vec<u8>,
+    kept: Vec<bool>,
+}
+
+/// All nodes that reach over several chunks. Chunks come in in any order and count in theirs.
+pub struct Spanning<K> {
+    root_bits: u32,
+    threshold: u64,
+    /// First code after each chunk.
+    ends: Vec<Option<K>>,
+    next: usize,
+    early: BTreeMap<usize, Vec<Contribution<K>>>,
+    pending: BTreeMap<(u32, K), Pending>,
+}
+
+impl<K: MortonKey> Spanning<K> {
+    /// Waits for chunks with these ends.
+    pub fn new(rules: &TreeRules, ends: Vec<Option<K>>) -> Self {
+        Spanning {
+            root_bits: rules.root_bits,
+            threshold: rules.threshold as u64,
+            ends,
+            next: 0,
+            early: BTreeMap::new(),
+            pending: BTreeMap::new(),
+        }
+    }
+
+    /// Takes what a chunk gives; returns the nodes that are ready now, in an order that depends on
+    /// nothing but the chunks.
+    pub fn add(&mut self, chunk: usize, contributions: Vec<Contribution<K>>) -> Vec<ReadyNode> {
+        self.early.insert(chunk, contributions);
+        let mut ready = Vec::new();
+        while let Some(contributions) = self.early.remove(&self.next) {
+            for part in contributions {
+                let pending = self.pending.entry((part.depth, part.code)).or_default();
+                pending.entering += part.entering;
+                if pending.rows.is_empty() {
+                    (pending.rows, pending.kept) = (part.rows, part.kept);
+                } else {
+                    pending.rows.extend_from_slice(&part.rows);
+                    pending.kept.extend_from_slice(&part.kept);
+                }
+            }
+            self.close_before(self.ends[self.next], &mut ready);
+            self.next += 1;
+        }
+        ready
+    }
+
+    /// Closes all nodes that do not reach beyond a code, deepest first.
+    fn close_before(&mut self, end: Option<K>, ready: &mut Vec<ReadyNode>) {
+        let reaches_beyond = |depth: u32, code: K| {
+            let levels = self.root_bits - depth;
+            end.is_some_and(|end| end.ancestor(levels) == code && end.local(levels) != K::default())
+        };
+        let closing: Vec<(u32, K)> =
+            self.pending.keys().copied().filter(|&(d, code)| !reaches_beyond(d, code)).collect();
+        for (depth, code) in closing.into_iter().rev() {
+            let node = self.pending.remove(&(depth, code)).expect("it was listed");
+            if depth == 0 || node.entering >= self.threshold {
+                ready.push(ReadyNode { depth, rows: node.rows, kept: node.kept });
+                continue;
+            }
+            // Too few entered: they stay in the parent, beyond one per finest cell.
+            let parent = self.pending.entry((depth - 1, code.ancestor(1))).or_default();
+            parent.rows.extend_from_slice(&node.rows);
+            parent.kept.resize(parent.kept.len() + node.kept.len(), false);
+        }
+    }
+}
+
+impl ReadyNode {
+    /// Orders, levels and encodes the node.
+    pub fn finish<K: MortonKey>(
+        self,
+        rules: &TreeRules,
+        layout: RowLayout,
+        builder: &mut NodeBuilder<K>,
+    ) -> FinishedNode {
+        const PAGE_SHIFT: u32 = 16;
+        let stride = layout.stride();
+        let pages: Vec<&[u8]> = self.rows.chunks(stride << PAGE_SHIFT).collect();
+        let rows = RowTable::new(&pages, PAGE_SHIFT, layout);
+        let mut items: Vec<Item<K>> =
+            rows.slots().map(|(slot, row)| Item { key: K::read(row), slot }).collect();
+        sort_by_key(&mut items, &mut SortScratch::default());
+        for equal in items.chunk_by_mut(|a, b| a.key == b.key) {
+            if equal.len() > 1 {
+                equal.sort_unstable_by_key(|item| layout.index(rows.row(item.slot)));
+            }
+        }
+        let home = |item: &Item<K>| match self.kept[item.slot as usize] {
+            true => self.depth as u8,
+            false => self.depth as u8 | BEYOND,
+        };
+        let homes: Vec<u8> = items.iter().map(home).collect();
+        let members: Vec<u32> = (0..items.len() as u32).collect();
+        let points = SortedPoints { items: &items, homes: &homes, rows };
+        builder.finish(rules, self.depth, &points, &members)
+    }
+}

@@ -1,0 +1,233 @@
+//! The first pass: every record once, for true bounds and counts (headers are not trusted).
+//!
+//! Records of compressed inputs are kept as they were decoded, in pages; others are read again.
+
+use std::sync::Mutex;
+use std::sync::atomic::AtomicBool;
+
+use crate::build::BuildError;
+use crate::build::in_order::for_each_in_order;
+use crate::build::pages::{Page, PageBuffer, PageStore};
+use crate::build::progress::Progress;
+use crate::build::rows::{color_offset, read_color};
+use crate::build::sources::Sources;
+use crate::input::BlockBuffer;
+use crate::points::{Schema, record_coordinates};
+
+/// Decoded records of one block that were put away.
+#[derive(Debug)]
+pub struct HeldPage<'p> {
+    /// Which block.
+    pub block: usize,
+    /// Place of the first record within the block.
+    pub first: u64,
+    /// The records.
+    pub page: Page<'p>,
+}
+
+/// What one pass over all points tells.
+#[derive(Debug)]
+pub struct Survey<'p> {
+    /// Points seen.
+    pub points: u64,
+    /// Smallest coordinates on the store's lattice.
+    pub min: [i64; 3],
+    /// Largest coordinates on the store's lattice.
+    pub max: [i64; 3],
+    /// All colour channels or-ed: above 255 in 16-bit files.
+    pub color_union: u16,
+    /// Points of each block.
+    pub block_points: Vec<u64>,
+    /// Coordinates of every so many points, on the store's lattice.
+    pub sample: Vec<[i64; 3]>,
+    /// How many points each of the sample stands for.
+    pub sample_weight: u64,
+    /// Records, where they were kept.
+    pub held: Vec<HeldPage<'p>>,
+}
+
+/// Most coordinates in the sample.
+const SAMPLE_POINTS: u64 = 1 << 16;
+
+/// One worker's part of the survey.
+struct Part<'p> {
+    points: u64,
+    min: [i64; 3],
+    max: [i64; 3],
+    color_union: u16,
+    sample: Vec<[i64; 3]>,
+    held: Vec<HeldPage<'p>>,
+    block_points: Vec<(usize, u64)>,
+    buffer: BlockBuffer,
+    page: Option<PageBuffer<'p>>,
+}
+
+impl<'p> Part<'p> {
+    fn new() -> Self {
+        Part {
+            points: 0,
+            min: [i64::MAX; 3],
+            max: [i64::MIN; 3],
+            color_union: 0,
+            sample: Vec::new(),
+            held: Vec::new(),
+            block_points: Vec::new(),
+            buffer: BlockBuffer::default(),
+            page: None,
+        }
+    }
+
+    /// Looks at records, the first of which is the `first`-th of its block.
+    fn look(&mut self, records: &[u8], schema: &Schema, shift: [i64; 3], first: u64, weight: u64) {
+        let record_bytes = schema.record_bytes as usize;
+        let (mut low, mut high) = ([i32::MAX; 3], [i32::MIN; 3]);
+        for record in records.chunks_exact(record_bytes) {
+            let position = record_coordinates(record);
+            for axis in 0..3 {
+                low[axis] = low[axis].min(position[axis]);
+                high[axis] = high[axis].max(position[axis]);
+            }
+        }
+        if let Some(offset) = color_offset(schema) {
+            for record in records.chunks_exact(record_bytes) {
+                let [r, g, b] = read_color(&record[offset..]);
+                self.color_union |= r | g | b;
+            }
+        }
+        let shifted = |v: [i32; 3]| [0, 1, 2].map(|axis| i64::from(v[axis]) + shift[axis]);
+        let count = (records.len() / record_bytes) as u64;
+        if count > 0 {
+            let (low, high) = (shifted(low), shifted(high));
+            for axis in 0..3 {
+                self.min[axis] = self.min[axis].min(low[axis]);
+                self.max[axis] = self.max[axis].max(high[axis]);
+            }
+        }
+        let next = first.next_multiple_of(weight) - first;
+        let sampled = records.chunks_exact(record_bytes).skip(next as usize);
+        self.sample.extend(
+            sampled.step_by(weight as usize).map(|record| shifted(record_coordinates(record))),
+        );
+        self.points += count;
+    }
+
+    /// Keeps records of a block, the first of which is its `first`-th.
+    fn hold(
+        &mut self,
+        pages: &PageStore<'p>,
+        block: usize,
+        mut first: u64,
+        records: &[u8],
+        record_bytes: usize,
+    ) -> Result<(), BuildError> {
+        let page_bytes = pages.page_bytes() / record_bytes * record_bytes;
+        for part in records.chunks(page_bytes) {
+            let mut page = self.page.take().unwrap_or_else(|| pages.buffer());
+            page.room()[..part.len()].copy_from_slice(part);
+            page.set_used(part.len());
+            let page = if part.len() == page_bytes {
+                let (page, next) = pages.keep(page)?;
+                self.page = Some(next);
+                page
+            } else {
+                pages.keep_last(page)?
+            };
+            self.held.push(HeldPage { block, first, page });
+            first += (part.len() / record_bytes) as u64;
+        }
+        Ok(())
+    }
+}
+
+/// Reads every point once. With `hold` records are kept in pages.
+pub fn survey<'p>(
+    sources: &Sources,
+    hold: Option<&PageStore<'p>>,
+    workers: usize,
+    progress: &dyn Progress,
+    cancelled: &AtomicBool,
+) -> Result<Survey<'p>, BuildError> {
+    let schema = sources.schema();
+    let record_bytes = schema.record_bytes as usize;
+    let blocks = sources.blocks();
+    let expected = sources.expected_points();
+    // Not a power of two, so that it keeps no step with the scanner.
+    let weight = (expected / SAMPLE_POINTS).max(4) | 1;
+    let parts = Mutex::new(Vec::new());
+    for_each_in_order(
+        blocks.len(),
+        workers,
+        cancelled,
+        Part::new,
+        |part, i| {
+            let (source, block) = blocks[i];
+            let shift = sources.shift(source);
+            let mut buffer = std::mem::take(&mut part.buffer);
+            let mut found = 0;
+            let outcome = sources.read_block(source, block, &mut buffer, &mut |records| {
+                part.look(records, schema, shift, found, weight);
+                if let Some(pages) = hold {
+                    part.hold(pages, i, found, records, record_bytes)?;
+                }
+                let count = (records.len() / record_bytes) as u64;
+                found += count;
+                progress.advance(count);
+                Ok(())
+            });
+            part.buffer = buffer;
+            part.block_points.push((i, found));
+            outcome
+        },
+        |mut part| {
+            if let (Some(page), Some(pages)) = (part.page.take(), hold) {
+                pages.give_back(page);
+            }
+            parts.lock().expect("no holder of the lock panics").push(part);
+            Ok(())
+        },
+    )?;
+    let mut all = Survey {
+        points: 0,
+        min: [i64::MAX; 3],
+        max: [i64::MIN; 3],
+        color_union: 0,
+        block_points: vec![0; blocks.len()],
+        sample: Vec::new(),
+        sample_weight: weight,
+        held: Vec::new(),
+    };
+    for part in parts.into_inner().expect("no holder of the lock panics") {
+        all.points += part.points;
+        all.color_union |= part.color_union;
+        for axis in 0..3 {
+            all.min[axis] = all.min[axis].min(part.min[axis]);
+            all.max[axis] = all.max[axis].max(part.max[axis]);
+        }
+        all.sample.extend(part.sample);
+        all.held.extend(part.held);
+        part.block_points.iter().for_each(|&(block, points)| all.block_points[block] = points);
+    }
+    Ok(all)
+}
+
+impl Survey<'_> {
+    /// Bits per axis of a cube that holds all points and has at least `depth + 1` levels.
+    pub fn root_bits(&self, depth: u32) -> u32 {
+        let extent = (0..3)
+            .map(|axis| i128::from(self.max[axis]) - i128::from(self.min[axis]))
+            .max()
+            .unwrap_or(0)
+            .max(0);
+        (128 - extent.leading_zeros()).max(depth + 1)
+    }
+
+    /// Input index of each block's first point.
+    pub fn first_indices(&self) -> Vec<u64> {
+        let starts = self.block_points.iter().scan(0, |next, points| {
+            let first = *next;
+            *next += points;
+            Some(first)
+        });
+        starts.collect()
+    }
+}

@@ -212,17 +212,15 @@ fn nearest_to_mean(group: &[u32], candidates: &[Candidate]) -> u32 {
     let mut sum = [0i64; 3];
     for &i in group {
         let color = candidates[i as usize].color;
-        for channel in 0..3 {
-            sum[channel] += i64::from(color[channel]);
-        }
+        sum.iter_mut().zip(color).for_each(|(sum, channel)| *sum += i64::from(channel));
     }
     let mut best = (i64::MAX, u64::MAX, 0);
     for &i in group {
         let candidate = &candidates[i as usize];
         // Distances to the mean times the group's size, so that all stays in integers.
         let mut distance = 0;
-        for channel in 0..3 {
-            distance += (size * i64::from(candidate.color[channel]) - sum[channel]).pow(2);
+        for (sum, channel) in sum.iter().zip(candidate.color) {
+            distance += (size * i64::from(channel) - sum).pow(2);
         }
         if (distance, candidate.index) < (best.0, best.1) {
             best = (distance, candidate.index, i);

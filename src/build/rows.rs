@@ -83,7 +83,7 @@ impl RowLayout {
 pub fn copy_short(to: &mut [u8], from: &[u8]) {
     let length = from.len();
     let to = &mut to[..length];
-    if length < 8 || length > 64 {
+    if !(8..=64).contains(&length) {
         to.copy_from_slice(from);
         return;
     }

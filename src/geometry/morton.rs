@@ -71,7 +71,7 @@ impl MortonKey for u64 {
         (self >> low) as usize & ((1 << count) - 1)
     }
     fn low_bits(self, count: u32) -> u64 {
-        self as u64 & 1u64.checked_shl(count).map_or(u64::MAX, |bit| bit - 1)
+        self & 1u64.checked_shl(count).map_or(u64::MAX, |bit| bit - 1)
     }
     fn differing_bits(self, other: Self) -> u32 {
         Self::BITS - (self ^ other).leading_zeros()

@@ -4,8 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 
-/// Suffixes of files that a folder contributes.
-const SCAN_SUFFIXES: [&str; 2] = ["las", "laz"];
+use crate::input::scan_suffixes;
 
 /// The scan files that arguments name, in the order given; those of a folder or a pattern sorted
 /// by name. A folder counts with all folders in it; only its scan files count.
@@ -17,7 +16,10 @@ pub fn expand(arguments: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
             collect_folder(argument, &mut files)
                 .with_context(|| format!("{}: cannot list the folder", argument.display()))?;
             if files.len() == before {
-                bail!("{}: no .las or .laz file in this folder", argument.display());
+                let known: Vec<String> =
+                    scan_suffixes().map(|suffix| format!(".{suffix}")).collect();
+                let known = known.join(", ");
+                bail!("{}: no scan file ({known}) in this folder", argument.display());
             }
             files[before..].sort();
         } else if argument.exists() {
@@ -60,5 +62,5 @@ fn expand_pattern(pattern: &Path) -> anyhow::Result<Vec<PathBuf>> {
 /// Whether a file's name says that it is a scan this program converts.
 pub fn is_scan(path: &Path) -> bool {
     let suffix = path.extension().and_then(|suffix| suffix.to_str()).map(str::to_ascii_lowercase);
-    suffix.is_some_and(|suffix| SCAN_SUFFIXES.contains(&suffix.as_str()))
+    suffix.is_some_and(|suffix| scan_suffixes().any(|known| known == suffix))
 }

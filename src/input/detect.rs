@@ -11,7 +11,7 @@ use std::path::Path;
 use super::error::{LasError, LasFault};
 use super::foreign::{ForeignFault, ForeignReader};
 use super::positioned_file::PositionedFile;
-use super::text;
+use super::{e57, pcd, ply, text};
 
 /// What a file is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -70,6 +70,9 @@ pub(super) struct Format {
 
 /// All formats outside the LAS family, in the order in which they are asked.
 pub(super) const FORMATS: &[Format] = &[
+    Format { kind: FileKind::Ply, suffixes: ply::SUFFIXES, claims: ply::claims, open: ply::open },
+    Format { kind: FileKind::Pcd, suffixes: pcd::SUFFIXES, claims: pcd::claims, open: pcd::open },
+    Format { kind: FileKind::E57, suffixes: e57::SUFFIXES, claims: e57::claims, open: e57::open },
     Format { kind: FileKind::Pts, suffixes: &["pts"], claims: text::claims_pts, open: text::open },
     Format { kind: FileKind::Ptx, suffixes: &["ptx"], claims: text::claims_ptx, open: text::open },
     // Last, because what remains is claimed by name, too.

@@ -162,6 +162,11 @@ pub trait ForeignReader: Debug + Send + Sync {
     /// What opening found.
     fn facts(&self) -> &ForeignFacts;
 
+    /// Whether the coordinates have the poses of their scans applied.
+    fn applies_poses(&self) -> bool {
+        true
+    }
+
     /// Replaces the contents of `rows` by those of a block.
     fn read_block(&self, block: usize, rows: &mut RowBuffer) -> Result<(), ForeignFault>;
 }

@@ -75,6 +75,11 @@ impl ForeignScan {
         self.reader.facts()
     }
 
+    /// Whether the coordinates have the poses of their scans applied.
+    pub fn applies_poses(&self) -> bool {
+        self.reader.applies_poses()
+    }
+
     /// The file.
     pub fn path(&self) -> &Path {
         &self.path

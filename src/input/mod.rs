@@ -15,6 +15,7 @@
 
 mod crs;
 mod detect;
+mod e57;
 mod error;
 mod foreign;
 mod foreign_scan;
@@ -23,11 +24,14 @@ mod header;
 mod las_layout;
 mod laz_decode;
 mod laz_layout;
+mod pcd;
 mod placing;
+mod ply;
 mod point_format;
 mod positioned_file;
 mod scan;
 mod scan_file;
+mod table;
 mod template;
 mod text;
 mod vlr;

@@ -52,6 +52,46 @@ impl Scalar {
             Scalar::F64 => f64::from_le_bytes(take(bytes)),
         }
     }
+
+    /// The smallest type that holds all values of both; f64 where there is none.
+    pub fn wider(self, other: Scalar) -> Scalar {
+        use Scalar::*;
+        let (a, b) = (self, other);
+        if a == b {
+            return a;
+        }
+        let integer = |scalar| match scalar {
+            U8 => Some((8, false)),
+            I8 => Some((8, true)),
+            U16 => Some((16, false)),
+            I16 => Some((16, true)),
+            U32 => Some((32, false)),
+            I32 => Some((32, true)),
+            U64 => Some((64, false)),
+            I64 => Some((64, true)),
+            F32 | F64 => None,
+        };
+        match (integer(a), integer(b)) {
+            (Some((a_bits, a_signed)), Some((b_bits, b_signed))) => {
+                let signed = a_signed || b_signed;
+                let need = |bits: u32, is_signed: bool| bits + u32::from(signed && !is_signed);
+                match (signed, need(a_bits, a_signed).max(need(b_bits, b_signed))) {
+                    (false, 0..=8) => U8,
+                    (false, 9..=16) => U16,
+                    (false, 17..=32) => U32,
+                    (false, _) => U64,
+                    (true, 0..=8) => I8,
+                    (true, 9..=16) => I16,
+                    (true, 17..=32) => I32,
+                    (true, 33..=64) => I64,
+                    (true, _) => F64,
+                }
+            }
+            (Some((bits, _)), None) if bits <= 16 && b == F32 => F32,
+            (None, Some((bits, _))) if bits <= 16 && a == F32 => F32,
+            _ => F64,
+        }
+    }
 }
 
 /// One value (or small vector) that every point carries, and its place in the record.
@@ -150,4 +190,27 @@ pub fn record_coordinates(record: &[u8]) -> [i32; 3] {
         i32::from_le_bytes([e, f, g, h]),
         i32::from_le_bytes([i, j, k, l]),
     ]
+}
+
+#[cfg(test)]
+mod tests {
+    use Scalar::*;
+
+    use super::*;
+
+    #[test]
+    fn wider_types_hold_both() {
+        assert_eq!(U8.wider(U16), U16);
+        assert_eq!(U8.wider(I8), I16);
+        assert_eq!(U16.wider(I32), I32);
+        assert_eq!(U32.wider(I32), I64);
+        assert_eq!(U64.wider(I8), F64);
+        assert_eq!(U16.wider(F32), F32);
+        assert_eq!(I32.wider(F32), F64);
+        assert_eq!(F32.wider(F64), F64);
+        for scalar in [U8, I8, U16, I16, U32, I32, U64, I64, F32, F64] {
+            assert_eq!(scalar.wider(scalar), scalar);
+            assert_eq!(scalar.wider(F64), F64);
+        }
+    }
 }

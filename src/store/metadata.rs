@@ -123,7 +123,7 @@ pub struct SourceInfo {
     /// Place of the scan in its file, where that holds several.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scan_index: Option<u32>,
-    /// Where the scanner stood; applied to the coordinates.
+    /// Where the scanner stood.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pose: Option<PoseInfo>,
     /// Attributes of the schema that are its own; all of them without a list. The others are 0 in
@@ -170,6 +170,8 @@ pub struct PoseInfo {
     pub rotation: [f64; 4],
     /// Position of the scanner, applied second.
     pub translation: [f64; 3],
+    /// Whether the points have it applied; if not, the file keeps it for information.
+    pub applied: bool,
 }
 
 /// All metadata of a store.

@@ -1,7 +1,7 @@
 //! What a store tells about each source.
 
 use crate::build::sources::{Source, Sources};
-use crate::input::{ForeignFacts, Pose, Scan};
+use crate::input::{ForeignScan, Pose, Scan};
 use crate::store::{AppendixPart, CrsInfo, DroppedPoints, PoseInfo, SkippedItems, SourceInfo};
 
 /// What is to stand in the metadata and the appendix about the sources.
@@ -24,7 +24,7 @@ impl Sources {
         for (source, &points) in self.scans().iter().zip(points_of_file) {
             match &source.scan {
                 Scan::Las(_) => describe_las(source, points, &mut described),
-                Scan::Foreign(scan) => describe_foreign(source, scan.facts(), &mut described),
+                Scan::Foreign(scan) => describe_foreign(source, scan, &mut described),
             }
         }
         let dropped = described.infos.iter().flat_map(|info| &info.dropped);
@@ -73,7 +73,8 @@ fn describe_las(source: &Source, points: u64, described: &mut Described) {
     }
 }
 
-fn describe_foreign(source: &Source, facts: &ForeignFacts, described: &mut Described) {
+fn describe_foreign(source: &Source, scan: &ForeignScan, described: &mut Described) {
+    let facts = scan.facts();
     let mut kept = vec![0u64; facts.parts.len()];
     for block in &facts.blocks {
         kept[block.part as usize] += block.points;
@@ -87,7 +88,7 @@ fn describe_foreign(source: &Source, facts: &ForeignFacts, described: &mut Descr
         }
         info.scan = part.name.clone();
         info.scan_index = (facts.parts.len() > 1).then_some(index as u32);
-        info.pose = part.pose.map(pose_info);
+        info.pose = part.pose.map(|pose| pose_info(pose, scan.applies_poses()));
         // What belongs to the file stands with its first scan only.
         if index == 0 {
             let skipped = facts.skipped.iter();
@@ -101,7 +102,7 @@ fn describe_foreign(source: &Source, facts: &ForeignFacts, described: &mut Descr
     }
 }
 
-fn pose_info(pose: Pose) -> PoseInfo {
+fn pose_info(pose: Pose, applied: bool) -> PoseInfo {
     let [x, y, z, w] = pose.rotation.to_array();
-    PoseInfo { rotation: [w, x, y, z], translation: pose.translation.to_array() }
+    PoseInfo { rotation: [w, x, y, z], translation: pose.translation.to_array(), applied }
 }

@@ -109,7 +109,7 @@ pub fn union_layout(scans: &[Scan]) -> UnionLayout {
     };
     for offer in of(true).chain(of(false)) {
         match columns.iter_mut().find(|(key, _)| *key == offer.key) {
-            Some((_, scalar)) => *scalar = wider(*scalar, offer.scalar),
+            Some((_, scalar)) => *scalar = scalar.wider(offer.scalar),
             None => columns.push((offer.key.clone(), offer.scalar)),
         }
     }
@@ -251,45 +251,6 @@ fn joined(moves: Vec<Move>) -> Vec<Move> {
     joined
 }
 
-/// The smallest type that holds all values of both; f64 where there is none.
-pub fn wider(a: Scalar, b: Scalar) -> Scalar {
-    use Scalar::*;
-    if a == b {
-        return a;
-    }
-    let integer = |scalar| match scalar {
-        U8 => Some((8, false)),
-        I8 => Some((8, true)),
-        U16 => Some((16, false)),
-        I16 => Some((16, true)),
-        U32 => Some((32, false)),
-        I32 => Some((32, true)),
-        U64 => Some((64, false)),
-        I64 => Some((64, true)),
-        F32 | F64 => None,
-    };
-    match (integer(a), integer(b)) {
-        (Some((a_bits, a_signed)), Some((b_bits, b_signed))) => {
-            let signed = a_signed || b_signed;
-            let need = |bits: u32, is_signed: bool| bits + u32::from(signed && !is_signed);
-            match (signed, need(a_bits, a_signed).max(need(b_bits, b_signed))) {
-                (false, 0..=8) => U8,
-                (false, 9..=16) => U16,
-                (false, 17..=32) => U32,
-                (false, _) => U64,
-                (true, 0..=8) => I8,
-                (true, 9..=16) => I16,
-                (true, 17..=32) => I32,
-                (true, 33..=64) => I64,
-                (true, _) => F64,
-            }
-        }
-        (Some((bits, _)), None) if bits <= 16 && b == F32 => F32,
-        (None, Some((bits, _))) if bits <= 16 && a == F32 => F32,
-        _ => F64,
-    }
-}
-
 /// Whether some values of a type do not fit another.
 fn loses(from: Scalar, to: Scalar) -> bool {
     matches!((from, to), (Scalar::U64 | Scalar::I64, Scalar::F64))
@@ -298,23 +259,6 @@ fn loses(from: Scalar, to: Scalar) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use Scalar::*;
-
-    #[test]
-    fn wider_types_hold_both() {
-        assert_eq!(wider(U8, U16), U16);
-        assert_eq!(wider(U8, I8), I16);
-        assert_eq!(wider(U16, I32), I32);
-        assert_eq!(wider(U32, I32), I64);
-        assert_eq!(wider(U64, I8), F64);
-        assert_eq!(wider(U16, F32), F32);
-        assert_eq!(wider(I32, F32), F64);
-        assert_eq!(wider(F32, F64), F64);
-        for scalar in [U8, I8, U16, I16, U32, I32, U64, I64, F32, F64] {
-            assert_eq!(wider(scalar, scalar), scalar);
-            assert_eq!(wider(scalar, F64), F64);
-        }
-    }
 
     #[test]
     fn neighbouring_copies_are_one() {

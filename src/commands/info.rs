@@ -7,7 +7,7 @@ use clap::Args;
 use serde_json::{Value, json};
 
 use crate::commands::quantities::show_bytes;
-use crate::input::LasScan;
+use crate::input::{CoordinateKind, ForeignFacts, ReadOptions, Scan, ScanPart};
 use crate::store::Store;
 pub use crate::store::is_store;
 
@@ -80,19 +80,61 @@ fn store_facts(path: &Path) -> anyhow::Result<Value> {
 }
 
 fn scan_facts(path: &Path) -> anyhow::Result<Value> {
-    let scan = LasScan::open(path)?;
-    let mut facts = serde_json::to_value(scan.facts())?;
+    let scan = Scan::open(path, &ReadOptions::default())?;
+    let mut facts = match scan.las() {
+        Some(las) => serde_json::to_value(las.facts())?,
+        None => scan.foreign().map_or(Value::Null, foreign_facts),
+    };
+    let lattice = scan.lattice();
     let more = json!({
         "file": path,
+        "file_bytes": scan.file_bytes(),
+        "scale": lattice.scale.to_array(),
+        "offset": lattice.offset.to_array(),
         "attributes": scan.schema().attributes.iter().map(|attribute| json!({
             "name": attribute.name, "type": attribute.scalar, "components": attribute.components,
         })).collect::<Vec<_>>(),
-        "bytes_per_point": scan.facts().file_bytes as f64 / scan.facts().points.max(1) as f64,
+        "bytes_per_point": scan.file_bytes() as f64 / scan.points().max(1) as f64,
+        "warnings": scan.warnings(),
     });
     if let (Some(facts), Value::Object(more)) = (facts.as_object_mut(), more) {
         facts.extend(more);
     }
     Ok(facts)
+}
+
+fn foreign_facts(facts: &ForeignFacts) -> Value {
+    let coordinates = match facts.coordinates {
+        CoordinateKind::F32 => "f32".to_string(),
+        CoordinateKind::F64 => "f64".to_string(),
+        CoordinateKind::Decimal { digits } => format!("text with {digits} digits after the point"),
+        CoordinateKind::Lattice(_) => "integers".to_string(),
+        CoordinateKind::Computed => "computed".to_string(),
+    };
+    let scan = |part: &ScanPart| {
+        json!({
+            "name": part.name, "points": part.points,
+            "position": part.pose.map(|pose| pose.translation.to_array()),
+            "rotation": part.pose.map(|pose| {
+                let [x, y, z, w] = pose.rotation.to_array();
+                [w, x, y, z]
+            }),
+        })
+    };
+    let is_plain = matches!(&facts.parts[..], [part] if part.name.is_none() && part.pose.is_none());
+    let [min, max] = facts.bounds.map(|corner| corner.to_array());
+    json!({
+        "format": facts.format, "points": facts.points, "points_exact": true,
+        "dropped_points": facts.dropped_points,
+        "bounds": (facts.points > 0).then(|| json!({"min": min, "max": max})),
+        "coordinates": coordinates,
+        "scans": (!is_plain).then(|| facts.parts.iter().map(scan).collect::<Vec<_>>()),
+        "skipped": (!facts.skipped.is_empty()).then(|| {
+            let item = |(what, count): &(String, u64)| json!({"what": what, "count": count});
+            facts.skipped.iter().map(item).collect::<Vec<_>>()
+        }),
+        "crs": facts.crs,
+    })
 }
 
 /// Prints one line per fact, lists of objects one line per object.

@@ -42,15 +42,11 @@ impl ForeignScan {
         assert_eq!(points, facts.points, "a reader's blocks add up to its points");
         let columns = columns_of(facts).map_err(fault)?;
         let placing = placing::choose(&*reader).map_err(fault)?;
-        let warnings = reader.facts().warnings.clone();
         let schema = Schema { record_bytes: 0, attributes: columns };
         let path = path.to_path_buf();
-        let mut scan = ForeignScan { path, file_bytes, reader, placing, schema, blocks, warnings };
+        let mut scan =
+            ForeignScan { path, file_bytes, reader, placing, schema, blocks, warnings: Vec::new() };
         scan.lay_out();
-        if scan.is_rounded() {
-            let step = scan.placing.lattice.scale.x;
-            scan.warnings.push(format!("coordinates are computed and rounded to steps of {step}"));
-        }
         Ok(scan)
     }
 
@@ -168,8 +164,14 @@ impl ForeignScan {
         Ok(())
     }
 
-    /// Places of the columns in a record.
+    /// Places of the columns in a record, and what the lattice costs.
     fn lay_out(&mut self) {
+        self.warnings.clone_from(&self.reader.facts().warnings);
+        if self.is_rounded() {
+            let step = self.placing.lattice.scale.max_element();
+            self.warnings
+                .push(format!("coordinates are computed and rounded to steps of {step:e}"));
+        }
         let attributes = &mut self.schema.attributes;
         attributes.retain(|attribute| attribute.name != names::COORDINATE_RESIDUAL);
         if let Some(scalar) = self.placing.residual {

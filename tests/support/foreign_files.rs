@@ -30,7 +30,7 @@ pub fn samples(count: usize) -> Vec<Sample> {
             position: [
                 0.1 + t * 0.37,
                 -2.5e-3 * t,
-                if i % 7 == 0 { 1e-20 } else { 100.0 / (t + 1.0) },
+                if i.is_multiple_of(7) { 1e-20 } else { 100.0 / (t + 1.0) },
             ],
             color: [(i * 7) as u8, (i * 13) as u8, (i * 29) as u8],
             label: i as i16 - 50,

@@ -10,7 +10,7 @@ use std::fs::File;
 use std::io::{BufReader, Seek, SeekFrom};
 
 use esker::input::{LasScan, LasTemplate, PointFormat, Vlr};
-use esker::output::{Compression, LasWriteError, LasWriter};
+use esker::output::{Compression, LasWriter, WriteError};
 use esker::sampling::records;
 use las_files::{least_minor, read_all, schema, shared, template, write};
 
@@ -234,7 +234,7 @@ fn what_cannot_be_written_is_told() {
     let other = PointFormat::new(1).unwrap().schema(28, &[]).0;
     let path = folder.path().join("scan.las");
     let wrong = LasWriter::create(&path, &template, &other, Compression::None);
-    assert!(matches!(wrong, Err(LasWriteError::RecordBytes { found: 28, expected: 20, .. })));
+    assert!(matches!(wrong, Err(WriteError::RecordBytes { found: 28, expected: 20, .. })));
     let nowhere = folder.path().join("no/such/folder.las");
     let wrong = LasWriter::create(&nowhere, &template, &schema(&template), Compression::None);
     let text = wrong.err().unwrap().to_string();
@@ -243,7 +243,7 @@ fn what_cannot_be_written_is_told() {
     let writer =
         LasWriter::create(&path, &template, &schema(&template), Compression::None).unwrap();
     let wrong = writer.finish(&mut &[7u8; 59][..]);
-    assert!(matches!(wrong, Err(LasWriteError::Evlr { index: 1, .. })), "{wrong:?}");
+    assert!(matches!(wrong, Err(WriteError::Evlr { index: 1, .. })), "{wrong:?}");
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
 }
 

@@ -47,7 +47,7 @@ pub use foreign_scan::ForeignScan;
 pub use guard::without_panic;
 pub use header::{LasHeader, ReturnCounts, place};
 pub use placing::{Placing, decimal_lattice, fine_lattice, reaches};
-pub use point_format::{ExtraBytes, PointFormat};
+pub use point_format::{ExtraBytes, PointFormat, describes_extra_bytes, extra_bytes};
 pub use positioned_file::PositionedFile;
 pub use scan::{
     Block, BlockBuffer, BoundsFacts, LasScan, RecordSink, ScanFacts, ScanFormat, VlrFacts,

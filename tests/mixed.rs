@@ -251,3 +251,23 @@ fn all_shared_files_fit_one_store() {
     let sources = &store.metadata().sources;
     assert_eq!(sources.len(), scans.iter().map(|s| s.parts().len().max(1)).sum::<usize>());
 }
+
+/// Beyond some, files are opened for each read: a folder of 10,000 tiles stays within what systems
+/// allow.
+#[cfg(target_os = "linux")]
+#[test]
+fn many_files_are_not_open_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let one = las(folder.path(), "0.las", 1, 5, |_, _| ());
+    let paths: Vec<PathBuf> = (0..600).map(|i| folder.path().join(format!("{i}.las"))).collect();
+    for path in &paths[1..] {
+        std::fs::copy(&one, path).unwrap();
+    }
+    let scans: Vec<_> = paths.iter().map(|path| open(path).unwrap()).collect();
+    let open_files = std::fs::read_dir("/proc/self/fd").unwrap().count();
+    assert!(open_files < 250, "{open_files} open files");
+    assert!(scans.iter().all(|scan| read(scan).unwrap().len() == 5));
+    drop(scans);
+    let (store, points) = mixed(&paths, folder.path());
+    assert_eq!((points.len(), store.metadata().sources.len()), (3000, 600));
+}

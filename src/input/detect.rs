@@ -139,5 +139,5 @@ pub(super) fn open_regular(path: &Path) -> Result<PositionedFile, LasFault> {
     if bytes == 0 {
         return Err(LasFault::Empty);
     }
-    Ok(PositionedFile::new(file, bytes))
+    Ok(PositionedFile::at_path(file, path, bytes))
 }

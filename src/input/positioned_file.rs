@@ -6,38 +6,48 @@
 use std::fs::File;
 use std::io;
 use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use super::error::LasFault;
+
+/// Most files that are kept open. Systems allow a process a few hundred; a folder of 10,000 tiles
+/// has more, and those beyond are opened for each read.
+const MOST_HELD_FILES: usize = 128;
+
+static HELD_FILES: AtomicUsize = AtomicUsize::new(0);
 
 /// An open file and its length when it was opened.
 #[derive(Debug)]
 pub struct PositionedFile {
-    backing: Backing,
+    access: Access,
     bytes: u64,
 }
 
-/// What the bytes are read from.
 #[derive(Debug)]
-enum Backing {
-    #[cfg(any(unix, windows))]
-    File(File),
-    #[cfg(not(any(unix, windows)))]
-    File(std::sync::Mutex<File>),
-    Memory(Vec<u8>),
+enum Access {
+    Held(Handle),
+    ByPath(PathBuf),
 }
+
+#[cfg(any(unix, windows))]
+type Handle = File;
+#[cfg(not(any(unix, windows)))]
+type Handle = std::sync::Mutex<File>;
 
 impl PositionedFile {
     /// Takes an open file whose length is known.
     pub fn new(file: File, bytes: u64) -> Self {
-        #[cfg(not(any(unix, windows)))]
-        let file = std::sync::Mutex::new(file);
-        PositionedFile { backing: Backing::File(file), bytes }
+        HELD_FILES.fetch_add(1, Ordering::Relaxed);
+        PositionedFile { access: Access::Held(handle(file)), bytes }
     }
 
-    /// Bytes that are no file, read as if they were one.
-    pub fn in_memory(bytes: Vec<u8>) -> Self {
-        let length = bytes.len() as u64;
-        PositionedFile { backing: Backing::Memory(bytes), bytes: length }
+    /// The same for a file that can be opened again by its path, should too many be open.
+    pub fn at_path(file: File, path: &Path, bytes: u64) -> Self {
+        if HELD_FILES.load(Ordering::Relaxed) < MOST_HELD_FILES {
+            return PositionedFile::new(file, bytes);
+        }
+        PositionedFile { access: Access::ByPath(path.to_path_buf()), bytes }
     }
 
     /// Length when it was opened.
@@ -47,39 +57,10 @@ impl PositionedFile {
 
     /// Reads some bytes at a place; 0 at the end of the file.
     pub fn read_at(&self, buffer: &mut [u8], byte: u64) -> io::Result<usize> {
-        loop {
-            let answer = match &self.backing {
-                Backing::File(file) => Self::read_once(file, buffer, byte),
-                Backing::Memory(bytes) => {
-                    let start = usize::try_from(byte).map_or(bytes.len(), |b| b.min(bytes.len()));
-                    let count = buffer.len().min(bytes.len() - start);
-                    buffer[..count].copy_from_slice(&bytes[start..start + count]);
-                    Ok(count)
-                }
-            };
-            match answer {
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                answer => return answer,
-            }
+        match &self.access {
+            Access::Held(file) => read_at(file, buffer, byte),
+            Access::ByPath(path) => read_at(&handle(File::open(path)?), buffer, byte),
         }
-    }
-
-    #[cfg(unix)]
-    fn read_once(file: &File, buffer: &mut [u8], byte: u64) -> io::Result<usize> {
-        std::os::unix::fs::FileExt::read_at(file, buffer, byte)
-    }
-
-    #[cfg(windows)]
-    fn read_once(file: &File, buffer: &mut [u8], byte: u64) -> io::Result<usize> {
-        std::os::windows::fs::FileExt::seek_read(file, buffer, byte)
-    }
-
-    #[cfg(not(any(unix, windows)))]
-    fn read_once(file: &std::sync::Mutex<File>, buffer: &mut [u8], byte: u64) -> io::Result<usize> {
-        use std::io::{Read, Seek, SeekFrom};
-        let mut file = file.lock().map_err(|_| io::Error::other("a reader panicked"))?;
-        file.seek(SeekFrom::Start(byte))?;
-        file.read(buffer)
     }
 
     /// Fills the buffer from a place.
@@ -106,4 +87,49 @@ impl PositionedFile {
         self.read_exact_at(&mut bytes, range.start)?;
         Ok(bytes)
     }
+}
+
+impl Drop for PositionedFile {
+    fn drop(&mut self) {
+        if matches!(self.access, Access::Held(_)) {
+            HELD_FILES.fetch_sub(1, Ordering::Relaxed);
+        }
+    }
+}
+
+#[cfg(any(unix, windows))]
+fn handle(file: File) -> Handle {
+    file
+}
+
+#[cfg(not(any(unix, windows)))]
+fn handle(file: File) -> Handle {
+    std::sync::Mutex::new(file)
+}
+
+fn read_at(file: &Handle, buffer: &mut [u8], byte: u64) -> io::Result<usize> {
+    loop {
+        match read_once(file, buffer, byte) {
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            answer => return answer,
+        }
+    }
+}
+
+#[cfg(unix)]
+fn read_once(file: &Handle, buffer: &mut [u8], byte: u64) -> io::Result<usize> {
+    std::os::unix::fs::FileExt::read_at(file, buffer, byte)
+}
+
+#[cfg(windows)]
+fn read_once(file: &Handle, buffer: &mut [u8], byte: u64) -> io::Result<usize> {
+    std::os::windows::fs::FileExt::seek_read(file, buffer, byte)
+}
+
+#[cfg(not(any(unix, windows)))]
+fn read_once(file: &Handle, buffer: &mut [u8], byte: u64) -> io::Result<usize> {
+    use std::io::{Read, Seek, SeekFrom};
+    let mut file = file.lock().map_err(|_| io::Error::other("a reader panicked"))?;
+    file.seek(SeekFrom::Start(byte))?;
+    file.read(buffer)
 }

@@ -34,8 +34,10 @@ pub struct Sources {
 impl Sources {
     /// Opens all files and finds what they have in common.
     pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Self, BuildError> {
-        let scans = paths.iter().map(|path| Scan::open(path, options));
-        let scans = scans.collect::<Result<Vec<_>, ScanError>>()?;
+        // Side by side, because some formats are looked through when they are opened; the first
+        // error in the order of the files counts, not in that of the threads.
+        let scans: Vec<_> = paths.par_iter().map(|path| Scan::open(path, options)).collect();
+        let scans = scans.into_iter().collect::<Result<Vec<_>, ScanError>>()?;
         let first = scans.first().ok_or(BuildError::NoInput)?;
         let source_count: usize = scans.iter().map(source_count).sum();
         if source_count > 1 {

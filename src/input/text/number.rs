@@ -73,9 +73,8 @@ pub fn read_plain(text: &[u8], at: usize) -> Option<(Number, usize)> {
     let mut at = at;
     let first = *text.get(at)?;
     let is_negative = first == b'-';
-    if is_negative || first == b'+' {
-        at += 1;
-    }
+    // Signs change at random, so nothing branches on them.
+    at += usize::from(is_negative | (first == b'+'));
     let begin = at;
     let mut mantissa = 0;
     at = read_digits(text, at, &mut mantissa);
@@ -91,7 +90,7 @@ pub fn read_plain(text: &[u8], at: usize) -> Option<(Number, usize)> {
         return None;
     }
     let size = mantissa as f64 / POWERS[digits];
-    let value = if is_negative { -size } else { size };
+    let value = f64::from_bits(size.to_bits() | u64::from(is_negative) << 63);
     Some((Number { value, mantissa, digits: digits as u8, form: Form::Decimal }, at))
 }
 

@@ -99,8 +99,7 @@ pub fn scan_suffixes() -> impl Iterator<Item = &'static str> {
 /// Says what a file is; an error if it cannot be read or is no file.
 pub fn detect(path: &Path) -> Result<FileKind, LasError> {
     let in_file = |fault| LasError::new(path, fault);
-    let (file, head) = open_with_head(path).map_err(in_file)?;
-    drop(file);
+    let head = open_regular(path).and_then(|file| read_head(&file)).map_err(in_file)?;
     let foreign = || format_of(path, &head).map_or(FileKind::Other, |format| format.kind);
     Ok(las_kind(&head).unwrap_or_else(foreign))
 }
@@ -118,11 +117,9 @@ pub(super) fn format_of(path: &Path, head: &[u8]) -> Option<&'static Format> {
     FORMATS.iter().find(|format| (format.claims)(&signs))
 }
 
-/// Opens a file that is not empty and reads what decides its format.
-pub(super) fn open_with_head(path: &Path) -> Result<(PositionedFile, Vec<u8>), LasFault> {
-    let file = open_regular(path)?;
-    let head = file.read_range(0..file.bytes().min(HEAD_BYTES as u64))?;
-    Ok((file, head))
+/// The bytes that decide a file's format.
+pub(super) fn read_head(file: &PositionedFile) -> Result<Vec<u8>, LasFault> {
+    file.read_range(0..file.bytes().min(HEAD_BYTES as u64))
 }
 
 /// Opens what stands at the path if it is a file with at least one byte.

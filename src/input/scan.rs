@@ -175,11 +175,16 @@ pub struct LasScan {
 impl LasScan {
     /// Opens a file and reads everything except its points.
     pub fn open(path: &Path) -> Result<Self, LasError> {
-        Self::open_file(path).map_err(|fault| LasError::new(path, fault))
+        let file = open_regular(path).map_err(|fault| LasError::new(path, fault))?;
+        Self::of(file, path)
     }
 
-    fn open_file(path: &Path) -> Result<Self, LasFault> {
-        let file = open_regular(path)?;
+    /// The same of what is open already, or in memory; `path` is its name in errors.
+    pub fn of(file: PositionedFile, path: &Path) -> Result<Self, LasError> {
+        Self::read_head(file, path).map_err(|fault| LasError::new(path, fault))
+    }
+
+    fn read_head(file: PositionedFile, path: &Path) -> Result<Self, LasFault> {
         let file_bytes = file.bytes();
         // A header's length is a 16-bit field.
         let head = file.read_range(0..file_bytes.min(u64::from(u16::MAX)))?;

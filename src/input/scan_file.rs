@@ -3,11 +3,12 @@
 use std::path::Path;
 
 use super::crs::Crs;
-use super::detect::{ReadOptions, format_of, las_kind, open_with_head};
+use super::detect::{ReadOptions, format_of, las_kind, open_regular, read_head};
 use super::error::ScanError;
 use super::foreign::{ForeignFacts, ForeignFault, ScanPart};
 use super::foreign_scan::ForeignScan;
 use super::placing::Placing;
+use super::positioned_file::PositionedFile;
 use super::scan::{Block, BlockBuffer, LasScan, RecordSink, ScanFormat};
 use crate::points::{Lattice, Schema};
 
@@ -23,13 +24,19 @@ pub enum Scan {
 impl Scan {
     /// Opens a file of whatever format its first bytes tell.
     pub fn open(path: &Path, options: &ReadOptions) -> Result<Self, ScanError> {
+        let file = open_regular(path).map_err(|fault| ScanError::foreign(path, fault.into()))?;
+        Self::of(file, path, options)
+    }
+
+    /// Reads what is open already, or in memory. `path` is its name in errors, and its suffix.
+    pub fn of(file: PositionedFile, path: &Path, options: &ReadOptions) -> Result<Self, ScanError> {
         let foreign = |fault| ScanError::foreign(path, fault);
-        let (file, head) = open_with_head(path).map_err(|fault| foreign(fault.into()))?;
+        let head = read_head(&file).map_err(|fault| foreign(fault.into()))?;
         let suffix = path.extension().map(|suffix| suffix.to_ascii_lowercase());
         let named_las = suffix.is_some_and(|suffix| suffix == "las" || suffix == "laz");
         // What calls itself a LAS file and is none is told so.
         if las_kind(&head).is_some() || named_las {
-            return Ok(Scan::Las(Box::new(LasScan::open(path)?)));
+            return Ok(Scan::Las(Box::new(LasScan::of(file, path)?)));
         }
         let format = format_of(path, &head).ok_or_else(|| {
             let found = head[..head.len().min(8)].escape_ascii();

@@ -1,0 +1,125 @@
+//! What fuzzing does with bytes: opens them as a file of a format and reads all there is.
+//!
+//! The fuzz targets and `tests/fuzz_corpus.rs` share this file. A reader may refuse bytes with an
+//! error; what it must not do is panic, hand out other than it announced, or take memory that the
+//! bytes merely claim (the fuzzer watches that).
+
+#![allow(dead_code, reason = "each fuzz target uses a part")]
+
+use std::path::Path;
+
+use esker::input::{BlockBuffer, PositionedFile, ReadOptions, Scan, ScanError};
+use esker::store::{self, Store};
+
+/// What became of bytes.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Outcome {
+    /// They are no such file, or damaged; why.
+    Refused(String),
+    /// So many points were read.
+    Read(u64),
+}
+
+/// The formats that bytes are read as.
+pub const TARGETS: [&str; 9] =
+    ["las", "laz", "ply", "pcd", "e57", "pts", "ptx", "text", "store"];
+
+/// Most points that are read of one input; a compressed file may hold many.
+const MOST_POINTS: u64 = 1 << 20;
+
+/// Reads bytes as one of the [`TARGETS`].
+pub fn run(target: &str, bytes: &[u8]) -> Outcome {
+    match target {
+        "store" => read_store(bytes),
+        "e57" => read_scan("scan.e57", with_page_checksums(bytes), &ReadOptions::default()),
+        "text" => {
+            let name = "scan.xyz";
+            let salvage = ReadOptions { salvage: true, ..ReadOptions::default() };
+            let columns = Some("x,y,z,skip,intensity,r,g,b".to_string());
+            let told = ReadOptions { columns, ..ReadOptions::default() };
+            read_scan(name, bytes.to_vec(), &salvage);
+            read_scan(name, bytes.to_vec(), &told);
+            read_scan(name, bytes.to_vec(), &ReadOptions::default())
+        }
+        _ => read_scan(&format!("scan.{target}"), bytes.to_vec(), &ReadOptions::default()),
+    }
+}
+
+/// Makes parallel loops run where they are called: what an input does then depends on it alone,
+/// and no time goes into waking threads.
+pub fn stay_on_this_thread() {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread();
+    pool.build_global().expect("no pool was there before");
+}
+
+fn read_scan(name: &str, bytes: Vec<u8>, options: &ReadOptions) -> Outcome {
+    let opened = Scan::of(PositionedFile::in_memory(bytes), Path::new(name), options);
+    match opened.and_then(|scan| read_points(&scan)) {
+        Ok(points) => Outcome::Read(points),
+        Err(error) => Outcome::Refused(error.to_string()),
+    }
+}
+
+fn read_points(scan: &Scan) -> Result<u64, ScanError> {
+    let schema = scan.schema();
+    assert!(schema.covers_record(), "columns cover records: {schema:?}");
+    let lattice = scan.lattice();
+    assert!(lattice.scale.is_finite() && lattice.offset.is_finite(), "{lattice:?} is a lattice");
+    let record_bytes = schema.record_bytes as usize;
+    let mut buffer = BlockBuffer::default();
+    let mut total = 0;
+    for block in scan.blocks() {
+        if total >= MOST_POINTS {
+            return Ok(total);
+        }
+        let mut handed_out = 0;
+        let found = scan.read_block::<ScanError>(block, &mut buffer, &mut |first, records| {
+            assert!(records.len() % record_bytes == 0, "records are whole");
+            assert_eq!(first, block.first_point + handed_out, "records come in order");
+            handed_out += (records.len() / record_bytes) as u64;
+            Ok(())
+        })?;
+        assert_eq!(found, handed_out, "what is counted is handed out");
+        assert!(!scan.points_exact() || found == block.points, "an exact count is kept");
+        total += found;
+    }
+    assert!(!scan.points_exact() || total == scan.points(), "blocks add up");
+    Ok(total)
+}
+
+/// Opens a store, checks it, and decodes every section of every node.
+fn read_store(bytes: &[u8]) -> Outcome {
+    let memory = Path::new("/dev/shm");
+    let folder = if memory.is_dir() { memory.to_path_buf() } else { std::env::temp_dir() };
+    let file = tempfile::Builder::new().prefix("esker-fuzz").tempfile_in(folder);
+    let file = file.expect("the folder takes files");
+    std::fs::write(file.path(), bytes).expect("there is room");
+    if let Err(error) = store::check(file.path()) {
+        return Outcome::Refused(error.to_string());
+    }
+    let store = match Store::open(file.path()) {
+        Ok(store) => store,
+        Err(error) => return Outcome::Refused(error.to_string()),
+    };
+    let mut points = 0;
+    let mut records = Vec::new();
+    for index in 0..store.octree().nodes().len() {
+        let node = esker::ids::NodeId(index as u32);
+        if let Err(error) = store.read_records(node, &mut records) {
+            return Outcome::Refused(error.to_string());
+        }
+        points += u64::from(store.octree().nodes()[index].point_count());
+    }
+    Outcome::Read(points)
+}
+
+/// An E57 file is pages of 1020 bytes and their checksum. With the checksums set right, changed
+/// bytes reach what stands behind them.
+fn with_page_checksums(bytes: &[u8]) -> Vec<u8> {
+    let mut bytes = bytes.to_vec();
+    for page in bytes.chunks_exact_mut(1024) {
+        let (payload, checksum) = page.split_at_mut(1020);
+        checksum.copy_from_slice(&crc32c::crc32c(payload).to_be_bytes());
+    }
+    bytes
+}

@@ -33,7 +33,7 @@ fn separators_give_the_same_points() {
         for (end, last) in [("\n", "\n"), ("\r\n", "\r\n"), ("\n", ""), ("\r\n", "")] {
             let text = format!("{}{last}", lines.join(end));
             let reader = open(&text).unwrap_or_else(|fault| panic!("{text:?}: {fault}"));
-            assert_eq!(reader.facts().format, format!("text, {name}"));
+            assert_eq!(reader.facts().format, format!("text ({name})"));
             assert_eq!(columns(&reader), "intensity:u16");
             assert_eq!(digits(&reader), Some(3));
             let read = read(&reader);

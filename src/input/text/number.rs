@@ -97,22 +97,12 @@ pub fn read_plain(text: &[u8], at: usize) -> Option<(Number, usize)> {
 /// Reads a whole token, however it is written; `None` if it is no number.
 #[cold]
 pub fn read_token(token: &[u8]) -> Option<Number> {
-    let missing = Number::EMPTY;
     let unsigned = token.strip_prefix(b"-").or(token.strip_prefix(b"+")).unwrap_or(token);
-    let lower = unsigned.to_ascii_lowercase();
-    let spelled = [&b"nan"[..], b"inf", b"infinity", b"na", b"n/a", b"null", b"none"];
-    // "1.#QNAN" and its kin are what the C library of Windows writes.
-    if spelled.contains(&&lower[..]) || lower.starts_with(b"1.#") || lower.starts_with(b"nan(") {
-        return Some(missing);
-    }
-    if !unsigned.first().is_some_and(|byte| byte.is_ascii_digit() || *byte == b'.') {
-        return None;
-    }
-    let text = str::from_utf8(token).ok()?;
-    let value: f64 = text.parse().ok()?;
-    if !value.is_finite() {
-        return Some(missing);
-    }
+    let begins = unsigned.first().is_some_and(|byte| byte.is_ascii_digit() || *byte == b'.');
+    let value = str::from_utf8(token).ok().filter(|_| begins).and_then(|text| text.parse().ok());
+    let Some(value) = value.filter(|value: &f64| value.is_finite()) else {
+        return (value.is_some() || says_missing(unsigned)).then_some(Number::EMPTY);
+    };
     let float = Number { value, mantissa: 0, digits: 0, form: Form::Float };
     if unsigned.iter().any(|byte| !byte.is_ascii_digit() && *byte != b'.') {
         return Some(float);
@@ -135,6 +125,15 @@ pub fn read_token(token: &[u8]) -> Option<Number> {
         }
         _ => Some(float),
     }
+}
+
+/// Whether a token without its sign is a word for no number.
+fn says_missing(token: &[u8]) -> bool {
+    let words = ["nan", "inf", "infinity", "na", "n/a", "null", "none"];
+    // The C library of Windows writes "1.#QNAN" and the like.
+    token.starts_with(b"1.#")
+        || token.get(..4).is_some_and(|start| start.eq_ignore_ascii_case(b"nan("))
+        || words.iter().any(|word| token.eq_ignore_ascii_case(word.as_bytes()))
 }
 
 /// Appends the digits from `at` on to the mantissa, wrapping around; gives the place after them.

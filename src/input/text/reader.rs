@@ -346,7 +346,7 @@ impl<'a> Opening<'a> {
         }
         self.line += tally.lines;
         self.part_line = self.line.saturating_sub(1);
-        self.parts[segment.part].points += rows + tally.bad_rows;
+        self.parts[segment.part].points += rows;
         self.points += survey.points;
         self.dropped += survey.dropped;
         self.unreadable += tally.bad_rows;
@@ -432,7 +432,7 @@ impl<'a> Opening<'a> {
             TextKind::Ptx => "ptx".to_string(),
             TextKind::Table => {
                 let separator = self.classes.first().map(|class| class.format.separator);
-                format!("text, {}", separator.unwrap_or(Separator::Blanks).name())
+                format!("text ({})", separator.unwrap_or(Separator::Blanks).name())
             }
         }
     }

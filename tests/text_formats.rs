@@ -7,9 +7,11 @@ mod shared_data;
 mod text_files;
 
 use std::fmt::Write;
+use std::path::Path;
 
 use esker::input::{CoordinateKind, ForeignReader, TextKind, detect_text};
 use esker::sampling::Random;
+use esker::store::Store;
 use glam::DVec3;
 use text_files::{columns, digits, leaving_out, open, open_file, open_with, read, with_columns};
 
@@ -336,6 +338,75 @@ fn kinds_are_told_from_the_first_lines() {
     {
         assert_eq!(kind(other), None, "{other:?}");
     }
+}
+
+fn esker(arguments: &[&str]) -> assert_cmd::Command {
+    let mut command = assert_cmd::Command::cargo_bin("esker").expect("the program is built");
+    command.args(arguments);
+    command
+}
+
+#[test]
+fn columns_are_set_on_the_command_line() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
+    let (text, store) = (path("scan.txt"), path("scan.esker"));
+    std::fs::write(&text, "oak;3.5;2.5;1.5;9\nash;6;5;4;7\n").expect("it is written");
+    let columns = ["--columns", "skip,z,y,x,amplitude"];
+    esker(&["info", &text]).assert().code(1);
+    let info = esker(&[&["info", &text, "--json"], &columns[..]].concat()).assert().success();
+    let info: serde_json::Value =
+        serde_json::from_slice(&info.get_output().stdout).expect("it is JSON");
+    assert_eq!(info["points"], 2);
+    assert_eq!(info["attributes"][0]["name"], "amplitude");
+    let convert = ["convert", &text, "-o", &store, "--progress", "none"];
+    esker(&[&convert[..], &columns[..]].concat()).assert().success();
+    let points = Store::open(Path::new(&store)).expect("it opens").metadata().points;
+    assert_eq!(points, 2);
+    esker(&["info", &text, "--columns", "x,y"]).assert().code(2);
+}
+
+#[test]
+fn numbers_of_a_text_come_out_of_a_store_as_they_went_in() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
+    let (text, store, csv) = (path("scan.pts"), path("scan.esker"), path("scan.csv"));
+    let mut random = Random::new(17, 0);
+    let mut rows = Vec::new();
+    for _ in 0..20_000 {
+        let [x, y, z] = [0; 3].map(|_| random.below(2_000_000) as i64 - 1_000_000);
+        let place = |step: i64, base: i64| {
+            let sign = if step < 0 && base == 0 { "-" } else { "" };
+            let step = (step + 1000 * base).abs();
+            format!("{sign}{}.{:03}", step / 1000, step % 1000)
+        };
+        let [i, r, g, b] = [0; 4].map(|_| random.below(256));
+        rows.push(format!(
+            "{} {} {} {i} {r} {g} {b}",
+            place(x, 635_000),
+            place(y, 5_848_000),
+            place(z, 0)
+        ));
+    }
+    std::fs::write(&text, format!("{}\n{}\n", rows.len(), rows.join("\n"))).expect("it is written");
+    esker(&["convert", &text, "-o", &store, "--progress", "none"]).assert().success();
+    esker(&["export", &store, "-o", &csv]).assert().success();
+    let exported = std::fs::read_to_string(&csv).expect("it reads");
+    let mut lines = exported.lines();
+    assert_eq!(lines.next(), Some("x,y,z,intensity,red,green,blue"));
+    // Points stand in another order; zeros at the end are no part of a number.
+    let normal = |line: &str, separator: char| -> String {
+        let shorten = |number: &str| match number.contains('.') {
+            true => number.trim_end_matches('0').trim_end_matches('.').to_string(),
+            false => number.to_string(),
+        };
+        line.split(separator).map(shorten).collect::<Vec<_>>().join(" ")
+    };
+    let mut found: Vec<String> = lines.map(|line| normal(line, ',')).collect();
+    let mut expected: Vec<String> = rows.iter().map(|line| normal(line, ' ')).collect();
+    found.sort();
+    expected.sort();
+    assert!(found == expected, "{:?} and {:?}", &found[..3], &expected[..3]);
 }
 
 // The expected sums of the following are numpy's (`loadtxt`, `sum(0)`).

@@ -6,6 +6,7 @@ use std::process::ExitCode;
 use clap::Args;
 use serde_json::{Value, json};
 
+use crate::commands::convert::parse_columns;
 use crate::commands::quantities::show_bytes;
 use crate::input::{CoordinateKind, ForeignFacts, ReadOptions, Scan, ScanPart};
 use crate::store::Store;
@@ -17,6 +18,10 @@ pub struct InfoArgs {
     /// Stores or scans
     #[arg(required = true)]
     files: Vec<PathBuf>,
+    /// Columns of text files: names separated by commas, `skip` for one to leave out
+    /// [default: those of the header, or guessed]
+    #[arg(long, value_name = "x,y,z,...", value_parser = parse_columns)]
+    columns: Option<String>,
     /// Print one JSON object per file
     #[arg(long)]
     json: bool,
@@ -24,8 +29,9 @@ pub struct InfoArgs {
 
 /// Runs the command.
 pub fn run(args: InfoArgs) -> anyhow::Result<ExitCode> {
+    let read = ReadOptions { columns: args.columns, ..ReadOptions::default() };
     for path in &args.files {
-        let facts = if is_store(path) { store_facts(path)? } else { scan_facts(path)? };
+        let facts = if is_store(path) { store_facts(path)? } else { scan_facts(path, &read)? };
         if args.json {
             println!("{facts}");
         } else {
@@ -79,8 +85,8 @@ fn store_facts(path: &Path) -> anyhow::Result<Value> {
     }))
 }
 
-fn scan_facts(path: &Path) -> anyhow::Result<Value> {
-    let scan = Scan::open(path, &ReadOptions::default())?;
+fn scan_facts(path: &Path, read: &ReadOptions) -> anyhow::Result<Value> {
+    let scan = Scan::open(path, read)?;
     let mut facts = match scan.las() {
         Some(las) => serde_json::to_value(las.facts())?,
         None => scan.foreign().map_or(Value::Null, foreign_facts),

@@ -28,6 +28,7 @@ pub struct PositionedFile {
 enum Access {
     Held(Handle),
     ByPath(PathBuf),
+    Memory(Vec<u8>),
 }
 
 #[cfg(any(unix, windows))]
@@ -50,6 +51,12 @@ impl PositionedFile {
         PositionedFile { access: Access::ByPath(path.to_path_buf()), bytes }
     }
 
+    /// Bytes that are no file, read as if they were one.
+    pub fn in_memory(bytes: Vec<u8>) -> Self {
+        let length = bytes.len() as u64;
+        PositionedFile { access: Access::Memory(bytes), bytes: length }
+    }
+
     /// Length when it was opened.
     pub fn bytes(&self) -> u64 {
         self.bytes
@@ -60,6 +67,12 @@ impl PositionedFile {
         match &self.access {
             Access::Held(file) => read_at(file, buffer, byte),
             Access::ByPath(path) => read_at(&handle(File::open(path)?), buffer, byte),
+            Access::Memory(bytes) => {
+                let start = usize::try_from(byte).map_or(bytes.len(), |b| b.min(bytes.len()));
+                let count = buffer.len().min(bytes.len() - start);
+                buffer[..count].copy_from_slice(&bytes[start..start + count]);
+                Ok(count)
+            }
         }
     }
 

@@ -1,39 +1,22 @@
 //! A conversion from its inputs to the finished store, as a list of steps.
 
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
 use std::sync::atomic::AtomicBool;
-use std::time::Instant;
-
-use rayon::prelude::*;
 
 use crate::build::BuildError;
 use crate::build::budget::Budget;
-use crate::build::chunk::{ChunkScratch, ChunkSink, build_chunk};
-use crate::build::encode::{Encoding, FinishedNode, join_ranges};
-use crate::build::in_order::for_each_in_order;
+use crate::build::checkpoint::{self, Checkpoints, State};
+use crate::build::encode::Encoding;
 use crate::build::node::TreeRules;
 use crate::build::options::{ConvertOptions, DEPTH_RANGE};
-use crate::build::pages::{Page, PageStore, Slab};
-use crate::build::partition::{ChunkRows, Partition, PartitionShape, split, taken_by_shared_cells};
-use crate::build::plan::{Chunk, Plan};
-use crate::build::progress::{Progress, Stage};
-use crate::build::rows::{RowLayout, RowTable, color_offset};
+use crate::build::pages::{PageStore, Slab};
+use crate::build::progress::{Clock, Progress, Stage, StageTime};
+use crate::build::rows::color_offset;
 use crate::build::sources::Sources;
-use crate::build::spanning::Spanning;
-use crate::build::survey::{HeldPage, Survey, survey};
+use crate::build::steps::{Built, Steps};
+use crate::build::work::Work;
 use crate::geometry::MortonKey;
-use crate::input::BlockBuffer;
-use crate::store::{Metadata, StoreWriter, ValueRange, sections_for};
-
-/// How long a part of a conversion took.
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
-pub struct StageTime {
-    /// Which part.
-    pub stage: &'static str,
-    /// Wall time.
-    pub seconds: f64,
-}
+use crate::store::{Metadata, StoreWriter, ValueRange, remove_dead_part, sections_for};
 
 /// What a conversion did.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
@@ -50,6 +33,8 @@ pub struct ConvertReport {
     pub temporary_bytes: u64,
     /// Whether all points were held in memory at once.
     pub in_memory: bool,
+    /// Whether it went on from where a killed run was.
+    pub resumed: bool,
     /// The parts of the work in order, with their times.
     pub stages: Vec<StageTime>,
     /// What headers said and points did not bear out, each with its file.
@@ -72,14 +57,18 @@ pub fn convert(
         "depth {} is not in {DEPTH_RANGE:?}",
         options.depth
     );
+    let conversion = Conversion { output, options, progress, cancelled };
     if output.exists() && !options.overwrite {
+        // A run that was killed when it was done may have left its work.
+        conversion.work().discard();
+        remove_dead_part(output);
         return Err(BuildError::Exists { path: output.into() });
     }
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(options.threads)
         .build()
         .map_err(|error| temporary("cannot start threads", std::io::Error::other(error), output))?;
-    pool.install(|| Conversion { output, options, progress, cancelled }.run(inputs))
+    pool.install(|| conversion.run(inputs))
 }
 
 struct Conversion<'a> {
@@ -89,30 +78,49 @@ struct Conversion<'a> {
     cancelled: &'a AtomicBool,
 }
 
-/// What one step after the other needs to know of the input.
-struct Input<'a, 'p> {
-    sources: &'a Sources,
-    survey: Survey<'p>,
-}
-
 impl Conversion<'_> {
     fn run(&self, inputs: &[PathBuf]) -> Result<ConvertReport, BuildError> {
+        let work = Work::new(&self.temp_dir(), self.output, self.options.before_write.clone());
+        let outcome = self.run_in(inputs, &work);
+        // What a failed run noted down serves the next one only if nothing is wrong with the input.
+        let can_go_on = matches!(outcome, Err(BuildError::Interrupted)) && work.has_state();
+        if !can_go_on {
+            work.remove();
+        }
+        outcome
+    }
+
+    fn run_in(&self, inputs: &[PathBuf], work: &Work) -> Result<ConvertReport, BuildError> {
         let mut clock = Clock::new(self.progress);
         let sources = Sources::open(inputs, &self.options.read)?;
         let schema = sources.schema();
-        let budget = Budget::new(self.options, schema, sources.expected_points())?;
+        let job = checkpoint::job(inputs, self.options);
+        let resumed: Option<State> = work.state(&job)?;
+        let mut budget = Budget::new(self.options, schema, sources.expected_points())?;
+        budget.page_bytes = resumed.as_ref().map_or(budget.page_bytes, |state| state.page_bytes);
         let mut slab = Slab::reserve(budget.slab_bytes);
-        let pages = PageStore::new(&self.temp_dir(), budget.page_bytes, &mut slab);
+        let pages_end = resumed.as_ref().map_or(0, |state| state.pages_end);
+        let pages = PageStore::new(work, budget.page_bytes, &mut slab, pages_end);
+        let every = self.options.checkpoint_every;
+        let mut steps = Steps {
+            progress: self.progress,
+            cancelled: self.cancelled,
+            sources: &sources,
+            budget,
+            pages: &pages,
+            work,
+            checkpoints: Checkpoints::new(work, job, every, budget.page_bytes),
+        };
+        let is_resumed = resumed.is_some();
         clock.begin(Stage::Read, sources.expected_points());
-        let hold = sources.are_compressed().then_some(&pages);
-        let survey = survey(&sources, hold, budget.workers, self.progress, self.cancelled)?;
-        let root_bits = survey.root_bits(self.options.depth);
+        let mut surveyed = steps.survey(resumed)?;
+        let root_bits = surveyed.survey.root_bits(self.options.depth);
         if root_bits > u128::MAX_BITS {
             let path = inputs.last().expect("sources have a file").clone();
             return Err(BuildError::TooWide { steps: 1 << (root_bits - 1), path });
         }
         let color_bits =
-            color_offset(schema).map(|_| if survey.color_union > 0xff { 16 } else { 8 });
+            color_offset(schema).map(|_| if surveyed.survey.color_union > 0xff { 16 } else { 8 });
         let sections = sections_for(schema, color_bits);
         let rules = TreeRules {
             root_bits,
@@ -121,15 +129,14 @@ impl Conversion<'_> {
             representative: self.options.representative,
             encoding: Encoding { schema, sections: &sections, color_bits },
         };
-        let mut input = Input { sources: &sources, survey };
-        let built = if input.survey.points == 0 {
-            Built::new(StoreWriter::new(&self.temp_dir(), 0))
+        let built = if surveyed.survey.points == 0 {
+            Built::new(StoreWriter::new(work, 0))
         } else if root_bits <= u64::MAX_BITS {
-            self.build::<u64>(&mut input, &rules, &budget, &pages, &mut clock)?
+            steps.build::<u64>(&mut surveyed, &rules, &mut clock)?
         } else {
-            self.build::<u128>(&mut input, &rules, &budget, &pages, &mut clock)?
+            steps.build::<u128>(&mut surveyed, &rules, &mut clock)?
         };
-        let survey = &input.survey;
+        let survey = &surveyed.survey;
         clock.begin(Stage::Write, survey.points);
         let mut points_of_source = vec![0; sources.scans().len()];
         for ((source, _), points) in sources.blocks().iter().zip(&survey.block_points) {
@@ -158,7 +165,7 @@ impl Conversion<'_> {
             crs: described.crs,
             sources: described.infos,
         };
-        let nodes = built.nodes;
+        let nodes = built.writer.node_count();
         let temporary_bytes = pages.written_bytes() + built.writer.spilled_bytes();
         let output_bytes = built.writer.finish(
             self.output,
@@ -179,188 +186,19 @@ impl Conversion<'_> {
             output_bytes,
             temporary_bytes,
             in_memory: pages.written_bytes() == 0,
+            resumed: is_resumed,
             stages: clock.finish(),
             warnings,
         })
     }
 
+    fn work(&self) -> Work {
+        Work::new(&self.temp_dir(), self.output, self.options.before_write.clone())
+    }
+
     fn temp_dir(&self) -> PathBuf {
         let folder = self.options.temp_dir.clone().or_else(|| self.output.parent().map(Into::into));
         folder.filter(|f| !f.as_os_str().is_empty()).unwrap_or_else(|| PathBuf::from("."))
-    }
-
-    /// Sorts all points into chunks and builds these side by side.
-    fn build<'p, K: MortonKey>(
-        &self,
-        input: &mut Input<'_, 'p>,
-        rules: &TreeRules,
-        budget: &Budget,
-        pages: &PageStore<'p>,
-        clock: &mut Clock,
-    ) -> Result<Built, BuildError> {
-        clock.begin(Stage::Partition, input.survey.points);
-        let target = budget.chunk_points(input.survey.points);
-        let plan = self.plan::<K>(&mut input.survey, rules, target);
-        let layout = RowLayout::new::<K>(input.sources.schema(), input.survey.points);
-        let shape = PartitionShape {
-            layout,
-            page_shift: budget.page_shift(layout.stride()),
-            root_bits: rules.root_bits,
-            levels: rules.levels,
-        };
-        let partition = Partition::new(&plan, shape, pages);
-        self.fill_partition(input, budget, pages, &partition)?;
-        let mut filled = partition.into_chunks();
-        let mut chunks = plan.chunks().to_vec();
-        let too_many = budget.most_chunk_points.min(4 * target);
-        let is_too_large = |chunk: &Chunk<K>, rows: &ChunkRows| {
-            rows.points > too_many && chunk.level < rules.root_bits
-        };
-        while let Some(i) = (0..chunks.len()).find(|&i| is_too_large(&chunks[i], &filled[i])) {
-            let rows = std::mem::take(&mut filled[i]);
-            let (parts, rows) = split(&chunks[i], rows, target, shape, pages)?;
-            chunks.splice(i..=i, parts);
-            filled.splice(i..=i, rows);
-        }
-
-        clock.begin(Stage::Build, input.survey.points);
-        let taken = taken_by_shared_cells(&chunks, &filled, rules.root_bits, rules.levels);
-        let ends = chunks.iter().map(|chunk| chunk.end).collect();
-        let spanning = Mutex::new(Spanning::<K>::new(rules, ends));
-        let writer = StoreWriter::new(&self.temp_dir(), budget.node_bytes as usize);
-        let built = Mutex::new(Built::new(writer));
-        let rows: Vec<Mutex<Vec<Page>>> = filled.into_iter().map(|c| Mutex::new(c.pages)).collect();
-        let finished = |finished: FinishedNode| -> Result<(), BuildError> {
-            self.progress.advance(u64::from(finished.node.levels.point_count()));
-            built.lock().expect("no holder of the lock panics").add(finished)
-        };
-        for_each_in_order(
-            chunks.len(),
-            budget.workers,
-            self.cancelled,
-            ChunkScratch::<K>::default,
-            |scratch, i| {
-                let stored = std::mem::take(&mut *rows[i].lock().expect("each is locked once"));
-                let loaded = stored
-                    .into_iter()
-                    .map(|page| pages.load(page))
-                    .collect::<Result<Vec<_>, _>>()?;
-                let slices: Vec<&[u8]> = loaded.iter().map(|page| &**page).collect();
-                let table = RowTable::new(&slices, shape.page_shift, layout);
-                let mut finish = |node| finished(node);
-                let mut sink = ChunkSink { finished: &mut finish, contributions: Vec::new() };
-                build_chunk(rules, &chunks[i], table, &taken[i], scratch, &mut sink)?;
-                let contributions = sink.contributions;
-                loaded.into_iter().for_each(|page| pages.give_back(page));
-                let ready =
-                    spanning.lock().expect("no holder of the lock panics").add(i, contributions);
-                for node in ready {
-                    finished(node.finish(rules, layout, &mut scratch.nodes))?;
-                }
-                Ok(())
-            },
-            |_| Ok(()),
-        )?;
-        Ok(built.into_inner().expect("no holder of the lock panics"))
-    }
-
-    fn plan<K: MortonKey>(
-        &self,
-        survey: &mut Survey<'_>,
-        rules: &TreeRules,
-        target: u64,
-    ) -> Plan<K> {
-        let sample = std::mem::take(&mut survey.sample);
-        let origin = survey.min;
-        let mut keys: Vec<K> = sample
-            .par_iter()
-            .map(|p| K::encode([0, 1, 2].map(|axis| (p[axis] - origin[axis]) as u32)))
-            .collect();
-        keys.par_sort_unstable();
-        Plan::new(&keys, survey.sample_weight, target, rules.root_bits, rules.levels)
-    }
-
-    /// Brings all points of the input into their chunks.
-    fn fill_partition<'p, K: MortonKey>(
-        &self,
-        input: &mut Input<'_, 'p>,
-        budget: &Budget,
-        pages: &PageStore<'p>,
-        partition: &Partition<'_, 'p, K>,
-    ) -> Result<(), BuildError> {
-        let Input { sources, survey } = input;
-        let record_bytes = sources.schema().record_bytes as usize;
-        let blocks = sources.blocks();
-        let first_indices = survey.first_indices();
-        let origin = |source: usize| {
-            let shift = sources.shift(source);
-            [0, 1, 2].map(|axis| survey.min[axis] - shift[axis])
-        };
-        if sources.are_compressed() {
-            let mut held = std::mem::take(&mut survey.held);
-            held.sort_by_key(|page| (page.block, page.first));
-            let held: Vec<Mutex<Option<HeldPage>>> =
-                held.into_iter().map(|page| Mutex::new(Some(page))).collect();
-            return for_each_in_order(
-                held.len(),
-                budget.workers,
-                self.cancelled,
-                || partition.open(),
-                |open, i| {
-                    let held = held[i].lock().expect("each is locked once").take();
-                    let HeldPage { block, first, page } = held.expect("each is taken once");
-                    let records = pages.load(page)?;
-                    let first = first_indices[block] + first;
-                    let origin = origin(blocks[block].0);
-                    partition.add_records(open, &records, record_bytes, first, origin)?;
-                    self.progress.advance((records.len() / record_bytes) as u64);
-                    pages.give_back(records);
-                    Ok(())
-                },
-                |open| partition.close(open),
-            );
-        }
-        for_each_in_order(
-            blocks.len(),
-            budget.workers,
-            self.cancelled,
-            || (partition.open(), BlockBuffer::default()),
-            |(open, buffer), i| {
-                let (source, block) = blocks[i];
-                let (origin, mut found) = (origin(source), 0);
-                sources.read_block(source, block, buffer, &mut |records| {
-                    let first = first_indices[i] + found;
-                    partition.add_records(open, records, record_bytes, first, origin)?;
-                    let count = (records.len() / record_bytes) as u64;
-                    found += count;
-                    self.progress.advance(count);
-                    Ok(())
-                })?;
-                if found == survey.block_points[i] { Ok(()) } else { Err(BuildError::Changed) }
-            },
-            |(open, _)| partition.close(open),
-        )
-    }
-}
-
-/// What building leaves for writing.
-struct Built {
-    writer: StoreWriter,
-    ranges: Vec<Vec<ValueRange>>,
-    nodes: u64,
-    overflow_points: u64,
-}
-
-impl Built {
-    fn new(writer: StoreWriter) -> Self {
-        Built { writer, ranges: Vec::new(), nodes: 0, overflow_points: 0 }
-    }
-
-    fn add(&mut self, finished: FinishedNode) -> Result<(), BuildError> {
-        join_ranges(&mut self.ranges, &finished.ranges);
-        self.nodes += 1;
-        self.overflow_points += finished.overflow_points;
-        Ok(self.writer.add(finished.node)?)
     }
 }
 
@@ -374,38 +212,6 @@ fn finite(mut ranges: Vec<Vec<ValueRange>>) -> Vec<Vec<ValueRange>> {
         range.max = range.max.clamp(f64::MIN, f64::MAX);
     }
     ranges
-}
-
-/// Tells which part of the work goes on, and how long each took.
-struct Clock<'a> {
-    progress: &'a dyn Progress,
-    stages: Vec<StageTime>,
-    began: Instant,
-}
-
-impl<'a> Clock<'a> {
-    fn new(progress: &'a dyn Progress) -> Self {
-        Clock { progress, stages: Vec::new(), began: Instant::now() }
-    }
-
-    fn begin(&mut self, stage: Stage, points: u64) {
-        self.stop();
-        self.stages.push(StageTime { stage: stage.name(), seconds: 0.0 });
-        self.progress.begin(stage, points);
-    }
-
-    fn stop(&mut self) {
-        let now = Instant::now();
-        if let Some(stage) = self.stages.last_mut() {
-            stage.seconds = (now - self.began).as_secs_f64();
-        }
-        self.began = now;
-    }
-
-    fn finish(mut self) -> Vec<StageTime> {
-        self.stop();
-        self.stages
-    }
 }
 
 fn temporary(action: &'static str, source: std::io::Error, path: &Path) -> BuildError {

@@ -8,6 +8,7 @@
 //! After: Wimmer and Scheiblauer, "Instant Points", 2006; departures: `docs/instant-points.md`.
 
 mod budget;
+mod checkpoint;
 mod chunk;
 mod convert;
 mod encode;
@@ -24,10 +25,13 @@ mod rows;
 mod sort;
 mod sources;
 mod spanning;
+mod steps;
 mod survey;
+mod work;
 
-pub use convert::{ConvertReport, StageTime, convert};
+pub use convert::{ConvertReport, convert};
 pub use error::BuildError;
 pub use node::Representative;
 pub use options::{ConvertOptions, DEPTH_RANGE, available_memory};
-pub use progress::{Progress, Silent, Stage};
+pub use progress::{Progress, Silent, Stage, StageTime};
+pub use work::BeforeWrite;

@@ -1,12 +1,15 @@
 //! What a conversion can be told, and what it takes by default.
 
+use std::fmt;
 use std::path::PathBuf;
+use std::time::Duration;
 
 use crate::build::Representative;
+use crate::build::work::BeforeWrite;
 use crate::input::ReadOptions;
 
 /// Settings of a conversion.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct ConvertOptions {
     /// Most memory to use, bytes. More makes fewer passes over temporary files; the output is the
     /// same. Default: half of what the machine or its control group has.
@@ -27,6 +30,27 @@ pub struct ConvertOptions {
     pub representative: Representative,
     /// How inputs are to be read where they do not tell.
     pub read: ReadOptions,
+    /// Time between two notes of how far the work is, from which a killed run goes on. Each brings
+    /// to disk what is in memory. Default half a minute: what takes less starts anew.
+    pub checkpoint_every: Duration,
+    /// Called before every write to disk; its error is the write's. For tests.
+    pub before_write: Option<BeforeWrite>,
+}
+
+impl fmt::Debug for ConvertOptions {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.debug_struct("ConvertOptions")
+            .field("memory_bytes", &self.memory_bytes)
+            .field("threads", &self.threads)
+            .field("temp_dir", &self.temp_dir)
+            .field("overwrite", &self.overwrite)
+            .field("depth", &self.depth)
+            .field("threshold", &self.threshold)
+            .field("representative", &self.representative)
+            .field("read", &self.read)
+            .field("checkpoint_every", &self.checkpoint_every)
+            .finish_non_exhaustive()
+    }
 }
 
 impl Default for ConvertOptions {
@@ -40,6 +64,8 @@ impl Default for ConvertOptions {
             threshold: 1000,
             representative: Representative::Color,
             read: ReadOptions::default(),
+            checkpoint_every: Duration::from_secs(30),
+            before_write: None,
         }
     }
 }

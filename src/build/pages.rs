@@ -1,18 +1,18 @@
 //! Rows in pages of equal size: in memory as long as the budget lasts, on disk beyond it.
 //!
-//! Pages on disk stand in one unnamed temporary file, which vanishes with the process. Buffers are
+//! Pages on disk stand in one file of the work folder, each written once. Buffers are
 //! handed round and used again, because touching fresh memory costs more than the work on it.
 
 use std::fs::File;
 use std::io;
 use std::ops::Deref;
-use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, OnceLock};
 
 use memmap2::MmapMut;
 
 use crate::build::BuildError;
+use crate::build::work::Work;
 
 /// Memory for pages: reserved as a whole, touched only as far as it is used.
 ///
@@ -86,15 +86,19 @@ pub enum Page<'a> {
 pub struct PageStore<'a> {
     page_bytes: usize,
     free: Mutex<Vec<PageBuffer<'a>>>,
-    folder: PathBuf,
+    work: &'a Work,
     file: OnceLock<File>,
     creation: Mutex<()>,
     end: AtomicU64,
 }
 
+/// Where rows are on disk: first byte and length.
+pub type DiskPlace = (u64, u32);
+
 impl<'a> PageStore<'a> {
-    /// Pages of `page_bytes` in a slab; those that find no room go to a file in `folder`.
-    pub fn new(folder: &Path, page_bytes: usize, slab: &'a mut Slab) -> Self {
+    /// Pages of `page_bytes` in a slab; those that find no room go to a file of the work folder,
+    /// from byte `end` on.
+    pub fn new(work: &'a Work, page_bytes: usize, slab: &'a mut Slab, end: u64) -> Self {
         let bytes: &'a mut [u8] = slab.0.as_deref_mut().unwrap_or_default();
         let mut free: Vec<PageBuffer> = bytes
             .chunks_exact_mut(page_bytes)
@@ -105,10 +109,10 @@ impl<'a> PageStore<'a> {
         PageStore {
             page_bytes,
             free: Mutex::new(free),
-            folder: folder.into(),
+            work,
             file: OnceLock::new(),
             creation: Mutex::new(()),
-            end: AtomicU64::new(0),
+            end: AtomicU64::new(end),
         }
     }
 
@@ -158,10 +162,47 @@ impl<'a> PageStore<'a> {
     }
 
     fn write(&self, rows: &[u8]) -> Result<Page<'a>, BuildError> {
-        let file = self.file().map_err(|e| self.error("cannot create a temporary file", e))?;
-        let offset = self.end.fetch_add(rows.len() as u64, Ordering::Relaxed);
-        write_all_at(file, rows, offset).map_err(|e| self.error("cannot write", e))?;
-        Ok(Page::Disk { offset, bytes: rows.len() as u32 })
+        let (offset, bytes) = self.write_bytes(rows)?;
+        Ok(Page::Disk { offset, bytes })
+    }
+
+    /// Writes bytes of any length and tells where they are.
+    pub fn write_bytes(&self, bytes: &[u8]) -> Result<DiskPlace, BuildError> {
+        let file = self.file().map_err(|e| self.work.error("cannot create a temporary file", e))?;
+        let offset = self.end.fetch_add(bytes.len() as u64, Ordering::Relaxed);
+        let written = self.work.before_write().and_then(|()| write_all_at(file, bytes, offset));
+        written.map_err(|e| self.work.error("cannot write", e))?;
+        Ok((offset, bytes.len() as u32))
+    }
+
+    /// Reads bytes back.
+    pub fn read_bytes(&self, (offset, bytes): DiskPlace) -> Result<Vec<u8>, BuildError> {
+        let mut read = vec![0; bytes as usize];
+        let file = self.file().map_err(|e| self.work.error("cannot open", e))?;
+        read_exact_at(file, &mut read, offset)
+            .map_err(|e| self.work.error("cannot read back", e))?;
+        Ok(read)
+    }
+
+    /// Brings a page to disk, if it is not there, and tells where it is.
+    pub fn to_disk(&self, page: &mut Page<'a>) -> Result<DiskPlace, BuildError> {
+        match page {
+            Page::Disk { offset, bytes } => Ok((*offset, *bytes)),
+            Page::Memory(rows) => {
+                let (offset, bytes) = self.write_bytes(rows)?;
+                let kept = std::mem::replace(page, Page::Disk { offset, bytes });
+                if let Page::Memory(rows) = kept {
+                    self.give_back(rows);
+                }
+                Ok((offset, bytes))
+            }
+        }
+    }
+
+    /// Waits until everything written is on disk.
+    pub fn sync(&self) -> Result<(), BuildError> {
+        let synced = self.file.get().map_or(Ok(()), File::sync_data);
+        synced.map_err(|e| self.work.error("cannot write", e))
     }
 
     fn file(&self) -> io::Result<&File> {
@@ -170,7 +211,7 @@ impl<'a> PageStore<'a> {
         }
         let _one_creates = self.creation.lock().expect("no holder of the lock panics");
         if self.file.get().is_none() {
-            let file = tempfile::tempfile_in(&self.folder)?;
+            let file = self.work.file("pages")?;
             self.file.set(file).expect("only the holder of the lock sets it");
         }
         Ok(self.file.get().expect("it was set"))
@@ -183,9 +224,9 @@ impl<'a> PageStore<'a> {
             Page::Disk { offset, bytes } => {
                 let mut rows = self.buffer();
                 rows.set_used(bytes as usize);
-                let file = self.file.get().expect("pages on disk have a file");
+                let file = self.file().map_err(|e| self.work.error("cannot open", e))?;
                 read_exact_at(file, &mut rows.room()[..bytes as usize], offset)
-                    .map_err(|e| self.error("cannot read back", e))?;
+                    .map_err(|e| self.work.error("cannot read back", e))?;
                 Ok(rows)
             }
         }
@@ -197,10 +238,6 @@ impl<'a> PageStore<'a> {
             buffer.used = 0;
             self.free.lock().expect("no holder of the lock panics").push(buffer);
         }
-    }
-
-    fn error(&self, action: &'static str, source: io::Error) -> BuildError {
-        BuildError::Temporary { action, source, path: self.folder.clone() }
     }
 }
 
@@ -242,13 +279,15 @@ fn read_exact_at(file: &File, mut bytes: &mut [u8], mut offset: u64) -> io::Resu
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::path::Path;
 
     #[test]
     fn pages_come_back_from_memory_and_from_disk() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         for (memory, expected_on_disk) in [(0, 21), (300, 19), (1 << 20, 0)] {
             let mut slab = Slab::reserve(memory);
-            let store = PageStore::new(folder.path(), 100, &mut slab);
+            let work = Work::new(folder.path(), Path::new("out"), None);
+            let store = PageStore::new(&work, 100, &mut slab, 0);
             let mut pages = Vec::new();
             let mut buffer = store.buffer();
             for i in 0..20u8 {
@@ -271,6 +310,8 @@ mod tests {
                 assert!(rows.iter().all(|&b| usize::from(b) == if i < 20 { i } else { 99 }));
                 store.give_back(rows);
             }
+            work.remove();
+            assert_eq!(std::fs::read_dir(folder.path()).expect("it lists").count(), 0);
         }
     }
 }

@@ -3,13 +3,23 @@
 use std::collections::BinaryHeap;
 use std::sync::Mutex;
 
+use serde::{Deserialize, Serialize};
+
 use crate::build::BuildError;
 use crate::build::chunk::Taken;
-use crate::build::pages::{Page, PageBuffer, PageStore};
+use crate::build::pages::{DiskPlace, Page, PageBuffer, PageStore};
 use crate::build::plan::{Chunk, Plan};
 use crate::build::rows::RowLayout;
 use crate::geometry::MortonKey;
 use crate::points::{COORDINATE_BYTES, record_coordinates};
+
+/// What has been put into one chunk, as it can be noted down.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct ChunkRowsState {
+    pages: Vec<DiskPlace>,
+    points: u64,
+    smallest: Vec<u64>,
+}
 
 /// What has been put into one chunk.
 #[derive(Debug, Default)]
@@ -20,6 +30,28 @@ pub struct ChunkRows<'p> {
     pub points: u64,
     /// Smallest input indices, as many as cells that it shares with other chunks may take.
     smallest: BinaryHeap<u64>,
+}
+
+impl<'p> ChunkRows<'p> {
+    /// Brings all rows to disk and tells where they are.
+    pub fn state(&mut self, pages: &PageStore<'p>) -> Result<ChunkRowsState, BuildError> {
+        let places = self.pages.iter_mut().map(|page| pages.to_disk(page));
+        Ok(ChunkRowsState {
+            pages: places.collect::<Result<_, _>>()?,
+            points: self.points,
+            smallest: self.smallest.iter().copied().collect(),
+        })
+    }
+
+    /// The rows of a state.
+    pub fn resume(state: ChunkRowsState) -> Self {
+        let page = |(offset, bytes)| Page::Disk { offset, bytes };
+        ChunkRows {
+            pages: state.pages.into_iter().map(page).collect(),
+            points: state.points,
+            smallest: state.smallest.into(),
+        }
+    }
 }
 
 /// What is the same for all chunks.
@@ -58,6 +90,21 @@ impl<'a, 'p, K: MortonKey> Partition<'a, 'p, K> {
         assert!(page_bytes <= pages.page_bytes(), "rows fill no more than a page");
         let chunks = plan.chunks().iter().map(|_| Mutex::default()).collect();
         Partition { plan, shape, pages, page_bytes, chunks }
+    }
+
+    /// Goes on with chunks filled so far.
+    pub fn resume(mut self, chunks: Vec<ChunkRows<'p>>) -> Self {
+        assert_eq!(chunks.len(), self.chunks.len(), "the chunks are those of the plan");
+        self.chunks = chunks.into_iter().map(Mutex::new).collect();
+        self
+    }
+
+    /// Brings all rows put away to disk and tells where they are. Open pages must be closed.
+    pub fn state(&mut self) -> Result<Vec<ChunkRowsState>, BuildError> {
+        let chunks = self.chunks.iter_mut();
+        chunks
+            .map(|c| c.get_mut().expect("no holder of the lock panics").state(self.pages))
+            .collect()
     }
 
     /// Memory of a worker.

@@ -1,5 +1,7 @@
 //! How a conversion tells what it is doing.
 
+use std::time::Instant;
+
 /// The parts of a conversion, in order. Parts that a conversion does not need are left out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
@@ -39,4 +41,47 @@ pub struct Silent;
 impl Progress for Silent {
     fn begin(&self, _: Stage, _: u64) {}
     fn advance(&self, _: u64) {}
+}
+
+/// How long a part of a conversion took.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct StageTime {
+    /// Which part.
+    pub stage: &'static str,
+    /// Wall time.
+    pub seconds: f64,
+}
+
+/// Tells which part of the work goes on, and how long each took.
+pub(super) struct Clock<'a> {
+    progress: &'a dyn Progress,
+    stages: Vec<StageTime>,
+    began: Instant,
+}
+
+impl<'a> Clock<'a> {
+    pub fn new(progress: &'a dyn Progress) -> Self {
+        Clock { progress, stages: Vec::new(), began: Instant::now() }
+    }
+
+    /// A part begins that will advance by so many points.
+    pub fn begin(&mut self, stage: Stage, points: u64) {
+        self.stop();
+        self.stages.push(StageTime { stage: stage.name(), seconds: 0.0 });
+        self.progress.begin(stage, points);
+    }
+
+    fn stop(&mut self) {
+        let now = Instant::now();
+        if let Some(stage) = self.stages.last_mut() {
+            stage.seconds = (now - self.began).as_secs_f64();
+        }
+        self.began = now;
+    }
+
+    /// All parts with their times.
+    pub fn finish(mut self) -> Vec<StageTime> {
+        self.stop();
+        self.stages
+    }
 }

@@ -2,10 +2,14 @@
 
 use std::collections::BTreeMap;
 
+use serde::{Deserialize, Serialize};
+
+use crate::build::BuildError;
 use crate::build::chunk::Contribution;
 use crate::build::encode::FinishedNode;
 use crate::build::home::BEYOND;
 use crate::build::node::{NodeBuilder, SortedPoints, TreeRules};
+use crate::build::pages::{DiskPlace, PageStore};
 use crate::build::rows::{RowLayout, RowTable};
 use crate::build::sort::{Item, SortScratch, sort_by_key};
 use crate::geometry::MortonKey;
@@ -17,6 +21,20 @@ struct Pending {
     rows: Vec<u8>,
     kept: Vec<bool>,
 }
+
+/// A node in waiting, as it can be noted down: depth, code, points that entered, and where its rows
+/// and marks are.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct PendingState {
+    depth: u32,
+    code: [u64; 2],
+    entering: u64,
+    rows: Vec<DiskPlace>,
+    kept: Vec<DiskPlace>,
+}
+
+/// Most bytes written at once: places have 32-bit lengths.
+const MOST_PIECE_BYTES: usize = 1 << 30;
 
 /// A node whose points are all known.
 pub struct ReadyNode {
@@ -47,6 +65,48 @@ impl<K: MortonKey> Spanning<K> {
             early: BTreeMap::new(),
             pending: BTreeMap::new(),
         }
+    }
+
+    /// Brings all nodes in waiting to disk and tells where they are. All chunks up to the last one
+    /// added must have been added.
+    pub fn state(&self, pages: &PageStore) -> Result<Vec<PendingState>, BuildError> {
+        assert!(self.early.is_empty(), "no chunk is missing");
+        let write = |bytes: &[u8]| -> Result<Vec<DiskPlace>, BuildError> {
+            bytes.chunks(MOST_PIECE_BYTES).map(|piece| pages.write_bytes(piece)).collect()
+        };
+        let states = self.pending.iter().map(|(&(depth, code), node)| {
+            let kept: Vec<u8> = node.kept.iter().map(|&kept| u8::from(kept)).collect();
+            let wide = code.widen();
+            Ok(PendingState {
+                depth,
+                code: [wide as u64, (wide >> 64) as u64],
+                entering: node.entering,
+                rows: write(&node.rows)?,
+                kept: write(&kept)?,
+            })
+        });
+        states.collect()
+    }
+
+    /// Goes on after the first `done` chunks.
+    pub fn resume(
+        &mut self,
+        done: usize,
+        states: Vec<PendingState>,
+        pages: &PageStore,
+    ) -> Result<(), BuildError> {
+        self.next = done;
+        let read = |places: Vec<DiskPlace>| -> Result<Vec<u8>, BuildError> {
+            let pieces = places.into_iter().map(|place| pages.read_bytes(place));
+            Ok(pieces.collect::<Result<Vec<_>, _>>()?.concat())
+        };
+        for state in states {
+            let code = K::narrow(u128::from(state.code[0]) | u128::from(state.code[1]) << 64);
+            let kept = read(state.kept)?.into_iter().map(|mark| mark == 1).collect();
+            let node = Pending { entering: state.entering, rows: read(state.rows)?, kept };
+            self.pending.insert((state.depth, code), node);
+        }
+        Ok(())
     }
 
     /// Takes what a chunk gives; returns the nodes that are ready now, in an order that depends on

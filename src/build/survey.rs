@@ -2,16 +2,14 @@
 //!
 //! Records of compressed inputs are kept as they were decoded, in pages; others are read again.
 
-use std::sync::Mutex;
-use std::sync::atomic::AtomicBool;
+use serde::{Deserialize, Serialize};
 
 use crate::build::BuildError;
-use crate::build::in_order::for_each_in_order;
 use crate::build::pages::{Page, PageBuffer, PageStore};
 use crate::build::progress::Progress;
 use crate::build::rows::{color_offset, read_color};
 use crate::build::sources::Sources;
-use crate::input::BlockBuffer;
+use crate::input::{Block, BlockBuffer};
 use crate::points::{Schema, record_coordinates};
 
 /// Decoded records of one block that were put away.
@@ -26,8 +24,8 @@ pub struct HeldPage<'p> {
 }
 
 /// What one pass over all points tells.
-#[derive(Debug)]
-pub struct Survey<'p> {
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Survey {
     /// Points seen.
     pub points: u64,
     /// Smallest coordinates on the store's lattice.
@@ -42,15 +40,13 @@ pub struct Survey<'p> {
     pub sample: Vec<[i64; 3]>,
     /// How many points each of the sample stands for.
     pub sample_weight: u64,
-    /// Records, where they were kept.
-    pub held: Vec<HeldPage<'p>>,
 }
 
 /// Most coordinates in the sample.
 const SAMPLE_POINTS: u64 = 1 << 16;
 
 /// One worker's part of the survey.
-struct Part<'p> {
+pub struct Part<'p> {
     points: u64,
     min: [i64; 3],
     max: [i64; 3],
@@ -63,7 +59,8 @@ struct Part<'p> {
 }
 
 impl<'p> Part<'p> {
-    fn new() -> Self {
+    /// Nothing yet.
+    pub fn new() -> Self {
         Part {
             points: 0,
             min: [i64::MAX; 3],
@@ -139,78 +136,74 @@ impl<'p> Part<'p> {
     }
 }
 
-/// Reads every point once. With `hold` records are kept in pages.
-pub fn survey<'p>(
-    sources: &Sources,
-    hold: Option<&PageStore<'p>>,
-    workers: usize,
-    progress: &dyn Progress,
-    cancelled: &AtomicBool,
-) -> Result<Survey<'p>, BuildError> {
-    let schema = sources.schema();
-    let record_bytes = schema.record_bytes as usize;
-    let blocks = sources.blocks();
-    let expected = sources.expected_points();
-    // Not a power of two, so that it keeps no step with the scanner.
-    let weight = (expected / SAMPLE_POINTS).max(4) | 1;
-    let parts = Mutex::new(Vec::new());
-    for_each_in_order(
-        blocks.len(),
-        workers,
-        cancelled,
-        Part::new,
-        |part, i| {
-            let (source, block) = blocks[i];
-            let shift = sources.shift(source);
-            let mut buffer = std::mem::take(&mut part.buffer);
-            let mut found = 0;
-            let outcome = sources.read_block(source, block, &mut buffer, &mut |records| {
-                part.look(records, schema, shift, found, weight);
-                if let Some(pages) = hold {
-                    part.hold(pages, i, found, records, record_bytes)?;
-                }
-                let count = (records.len() / record_bytes) as u64;
-                found += count;
-                progress.advance(count);
-                Ok(())
-            });
-            part.buffer = buffer;
-            part.block_points.push((i, found));
-            outcome
-        },
-        |mut part| {
-            if let (Some(page), Some(pages)) = (part.page.take(), hold) {
-                pages.give_back(page);
-            }
-            parts.lock().expect("no holder of the lock panics").push(part);
-            Ok(())
-        },
-    )?;
-    let mut all = Survey {
-        points: 0,
-        min: [i64::MAX; 3],
-        max: [i64::MIN; 3],
-        color_union: 0,
-        block_points: vec![0; blocks.len()],
-        sample: Vec::new(),
-        sample_weight: weight,
-        held: Vec::new(),
-    };
-    for part in parts.into_inner().expect("no holder of the lock panics") {
-        all.points += part.points;
-        all.color_union |= part.color_union;
-        for axis in 0..3 {
-            all.min[axis] = all.min[axis].min(part.min[axis]);
-            all.max[axis] = all.max[axis].max(part.max[axis]);
+impl Survey {
+    /// Of nothing yet, for an input of so many blocks with about so many points.
+    pub fn new(blocks: usize, expected_points: u64) -> Self {
+        Survey {
+            points: 0,
+            min: [i64::MAX; 3],
+            max: [i64::MIN; 3],
+            color_union: 0,
+            block_points: vec![0; blocks],
+            sample: Vec::new(),
+            // Not a power of two, so that it keeps no step with the scanner.
+            sample_weight: (expected_points / SAMPLE_POINTS).max(4) | 1,
         }
-        all.sample.extend(part.sample);
-        all.held.extend(part.held);
-        part.block_points.iter().for_each(|&(block, points)| all.block_points[block] = points);
     }
-    Ok(all)
-}
 
-impl Survey<'_> {
+    /// Reads a block into a worker's part. With `hold` its records are kept in pages.
+    pub fn read_block<'p>(
+        &self,
+        sources: &Sources,
+        (source, block): (usize, &Block),
+        number: usize,
+        hold: Option<&PageStore<'p>>,
+        part: &mut Part<'p>,
+        progress: &dyn Progress,
+    ) -> Result<(), BuildError> {
+        let schema = sources.schema();
+        let record_bytes = schema.record_bytes as usize;
+        let shift = sources.shift(source);
+        let mut buffer = std::mem::take(&mut part.buffer);
+        let mut found = 0;
+        let outcome = sources.read_block(source, block, &mut buffer, &mut |records| {
+            part.look(records, schema, shift, found, self.sample_weight);
+            if let Some(pages) = hold {
+                part.hold(pages, number, found, records, record_bytes)?;
+            }
+            let count = (records.len() / record_bytes) as u64;
+            found += count;
+            progress.advance(count);
+            Ok(())
+        });
+        part.buffer = buffer;
+        part.block_points.push((number, found));
+        outcome
+    }
+
+    /// Takes over what a worker found; its part is empty afterwards.
+    pub fn join<'p>(
+        &mut self,
+        part: &mut Part<'p>,
+        held: &mut Vec<HeldPage<'p>>,
+        pages: &PageStore<'p>,
+    ) {
+        let empty = Part { buffer: std::mem::take(&mut part.buffer), ..Part::new() };
+        let part = std::mem::replace(part, empty);
+        self.points += part.points;
+        self.color_union |= part.color_union;
+        for axis in 0..3 {
+            self.min[axis] = self.min[axis].min(part.min[axis]);
+            self.max[axis] = self.max[axis].max(part.max[axis]);
+        }
+        self.sample.extend(part.sample);
+        held.extend(part.held);
+        part.block_points.iter().for_each(|&(block, points)| self.block_points[block] = points);
+        if let Some(page) = part.page {
+            pages.give_back(page);
+        }
+    }
+
     /// Bits per axis of a cube that holds all points and has at least `depth + 1` levels.
     pub fn root_bits(&self, depth: u32) -> u32 {
         let extent = (0..3)

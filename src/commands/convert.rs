@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use clap::Args;
 
@@ -50,12 +50,21 @@ pub struct ConvertArgs {
     /// [default: those of the header, or guessed]
     #[arg(long, value_name = "x,y,z,...", value_parser = parse_columns)]
     columns: Option<String>,
+    /// Seconds between two notes of how far the work is, from which a killed run goes on
+    #[arg(long, value_name = "SECONDS", default_value_t = 30.0, value_parser = parse_seconds)]
+    checkpoint_seconds: f64,
     /// How progress is shown on standard error
     #[arg(long, value_enum, default_value = "bar")]
     progress: ProgressKind,
     /// Print one JSON object at the end
     #[arg(long)]
     json: bool,
+}
+
+fn parse_seconds(text: &str) -> Result<f64, String> {
+    let seconds: f64 = text.parse().map_err(|_| format!("'{text}' is not a number"))?;
+    // As long as a clock can count.
+    (0.0..=1e9).contains(&seconds).then_some(seconds).ok_or_else(|| "0 to 1e9".to_string())
 }
 
 /// Runs the command.
@@ -69,6 +78,7 @@ pub fn run(args: ConvertArgs) -> anyhow::Result<ExitCode> {
         depth: args.depth,
         threshold: args.threshold,
         representative: args.representative,
+        checkpoint_every: Duration::from_secs_f64(args.checkpoint_seconds),
         read: ReadOptions { columns: args.columns, ..ReadOptions::default() },
         ..ConvertOptions::default()
     };

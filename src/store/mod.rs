@@ -25,4 +25,4 @@ pub use metadata::{
 };
 pub use reader::{Store, is_store};
 pub use records::RecordError;
-pub use writer::{AppendixPart, EncodedNode, StoreWriter};
+pub use writer::{AppendixPart, EncodedNode, Scratch, StagedState, StoreWriter, remove_dead_part};

@@ -5,11 +5,12 @@
 //! to fine whatever the order in which it came, so the bytes do not depend on threads or memory.
 
 use std::collections::HashMap;
-use std::fs::File;
+use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use glam::UVec3;
+use serde::{Deserialize, Serialize};
 
 use crate::geometry::MortonKey;
 use crate::octree::LevelIndex;
@@ -50,6 +51,28 @@ struct StagedNode {
     place: Place,
 }
 
+/// A node in the scratch file, as it can be noted down.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct StagedState {
+    depth: u32,
+    cell: [u32; 3],
+    totals: Vec<u32>,
+    tight: [[u32; 3]; 2],
+    sections: Vec<(u64, u32)>,
+    offset: u64,
+    bytes: u64,
+}
+
+/// Where a writer puts node data that does not fit memory.
+pub trait Scratch: Send + Sync {
+    /// The file for node data; asked for once.
+    fn file(&self) -> io::Result<File>;
+    /// Called before every write; an error is the write's.
+    fn before_write(&self) -> io::Result<()>;
+    /// What to name in messages.
+    fn path(&self) -> &Path;
+}
+
 /// Records of a source file that go into the appendix.
 #[derive(Debug)]
 pub enum AppendixPart {
@@ -67,28 +90,105 @@ pub enum AppendixPart {
 }
 
 /// Collects nodes until the store can be written.
-pub struct StoreWriter {
+pub struct StoreWriter<'a> {
     nodes: Vec<StagedNode>,
-    temp_dir: PathBuf,
+    scratch: &'a dyn Scratch,
     memory_limit: usize,
     memory_used: usize,
     spill: Option<(BufWriter<File>, u64)>,
 }
 
-impl StoreWriter {
-    /// A writer that keeps up to `memory_limit` bytes of node data in memory and the rest in an
-    /// unnamed file in `temp_dir`, which vanishes with the process.
-    pub fn new(temp_dir: &Path, memory_limit: usize) -> Self {
-        StoreWriter {
-            nodes: Vec::new(),
-            temp_dir: temp_dir.into(),
-            memory_limit,
-            memory_used: 0,
-            spill: None,
-        }
+impl<'a> StoreWriter<'a> {
+    /// A writer that keeps up to `memory_limit` bytes of node data in memory and the rest in the
+    /// scratch file.
+    pub fn new(scratch: &'a dyn Scratch, memory_limit: usize) -> Self {
+        StoreWriter { nodes: Vec::new(), scratch, memory_limit, memory_used: 0, spill: None }
     }
 
-    /// Bytes that went to the temporary file so far.
+    /// A writer that goes on where another was when it told its state.
+    pub fn resume(
+        scratch: &'a dyn Scratch,
+        memory_limit: usize,
+        staged: Vec<StagedState>,
+    ) -> Result<Self, StoreError> {
+        let mut writer = StoreWriter::new(scratch, memory_limit);
+        let mut end = 0;
+        for node in staged {
+            end = end.max(node.offset + node.bytes);
+            let levels = LevelIndex::new(node.totals).map_err(|error| StoreError::Io {
+                action: "cannot go on from what was saved",
+                source: io::Error::other(error.to_string()),
+                path: scratch.path().into(),
+            })?;
+            let extent = |(bytes, checksum)| SectionExtent { bytes, checksum };
+            writer.nodes.push(StagedNode {
+                depth: node.depth,
+                cell: node.cell.into(),
+                levels,
+                tight: node.tight.map(UVec3::from),
+                sections: node.sections.into_iter().map(extent).collect(),
+                place: Place::File { offset: node.offset, bytes: node.bytes },
+            });
+        }
+        if end > 0 {
+            let open = || -> io::Result<File> {
+                let mut file = scratch.file()?;
+                file.set_len(end)?;
+                file.seek(SeekFrom::Start(end))?;
+                Ok(file)
+            };
+            let file = open().map_err(|source| writer.scratch_error(source))?;
+            writer.spill = Some((BufWriter::with_capacity(1 << 20, file), end));
+        }
+        Ok(writer)
+    }
+
+    /// Brings all nodes to the scratch file, on disk, and tells where they are.
+    pub fn state(&mut self) -> Result<Vec<StagedState>, StoreError> {
+        for i in 0..self.nodes.len() {
+            if let Place::Memory(bytes) = &mut self.nodes[i].place {
+                let bytes = std::mem::take(bytes);
+                let place = self.spill(&bytes).map_err(|source| self.scratch_error(source))?;
+                self.nodes[i].place = place;
+            }
+        }
+        self.memory_used = 0;
+        let scratch = self.scratch;
+        if let Some((file, _)) = &mut self.spill {
+            let flushed = scratch
+                .before_write()
+                .and_then(|()| file.flush())
+                .and_then(|()| file.get_ref().sync_data());
+            flushed.map_err(|source| self.scratch_error(source))?;
+        }
+        let state = self.nodes.iter().map(|node| {
+            let Place::File { offset, bytes } = node.place else {
+                unreachable!("all nodes were brought to the file")
+            };
+            StagedState {
+                depth: node.depth,
+                cell: node.cell.to_array(),
+                totals: node.levels.totals().to_vec(),
+                tight: node.tight.map(|corner| corner.to_array()),
+                sections: node.sections.iter().map(|s| (s.bytes, s.checksum)).collect(),
+                offset,
+                bytes,
+            }
+        });
+        Ok(state.collect())
+    }
+
+    fn scratch_error(&self, source: io::Error) -> StoreError {
+        let path = self.scratch.path().into();
+        StoreError::Io { action: "cannot write temporary node data", source, path }
+    }
+
+    /// Nodes taken so far.
+    pub fn node_count(&self) -> u64 {
+        self.nodes.len() as u64
+    }
+
+    /// Bytes that went to the scratch file so far.
     pub fn spilled_bytes(&self) -> u64 {
         self.spill.as_ref().map_or(0, |(_, bytes)| *bytes)
     }
@@ -100,11 +200,7 @@ impl StoreWriter {
             self.memory_used += bytes.len();
             Place::Memory(bytes.into_boxed_slice().into_vec())
         } else {
-            self.spill(&bytes).map_err(|source| StoreError::Io {
-                action: "cannot write temporary node data",
-                source,
-                path: self.temp_dir.clone(),
-            })?
+            self.spill(&bytes).map_err(|source| self.scratch_error(source))?
         };
         self.nodes.push(StagedNode { depth, cell, levels, tight, sections, place });
         Ok(())
@@ -113,11 +209,13 @@ impl StoreWriter {
     fn spill(&mut self, bytes: &[u8]) -> io::Result<Place> {
         let (file, end) = match &mut self.spill {
             Some(spill) => spill,
-            empty => empty.insert((
-                BufWriter::with_capacity(1 << 20, tempfile::tempfile_in(&self.temp_dir)?),
-                0,
-            )),
+            empty => {
+                let file = self.scratch.file()?;
+                file.set_len(0)?;
+                empty.insert((BufWriter::with_capacity(1 << 20, file), 0))
+            }
         };
+        self.scratch.before_write()?;
         file.write_all(bytes)?;
         let place = Place::File { offset: *end, bytes: bytes.len() as u64 };
         *end += bytes.len() as u64;
@@ -166,32 +264,28 @@ impl StoreWriter {
             point_count: metadata.points,
         };
 
-        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let io_error =
             |action| move |source| StoreError::Io { action, source, path: path.to_path_buf() };
-        let file = tempfile::Builder::new()
-            .prefix(".esker-")
-            .suffix(".tmp")
-            .tempfile_in(folder)
-            .map_err(io_error("cannot create a file beside it"))?;
-        let mut out = BufWriter::with_capacity(1 << 20, file);
-        let mut write = |out: &mut BufWriter<_>| -> io::Result<()> {
+        let part = PartFile::create(path).map_err(io_error("cannot create a file beside it"))?;
+        let mut out = BufWriter::with_capacity(1 << 20, &part.file);
+        let scratch = self.scratch;
+        let mut write = |out: &mut BufWriter<&File>| -> io::Result<()> {
+            scratch.before_write()?;
             out.write_all(&header.encode())?;
             out.write_all(&metadata_bytes)?;
             out.write_all(&directory)?;
             self.copy_nodes(out)?;
             header.appendix.checksum = copy_appendix(appendix, out)?;
+            scratch.before_write()?;
             out.seek(SeekFrom::Start(0))?;
             out.write_all(&header.encode())?;
-            out.flush()
+            out.flush()?;
+            scratch.before_write()?;
+            part.file.sync_all()
         };
         write(&mut out).map_err(io_error("cannot write"))?;
-        let file =
-            out.into_inner().map_err(|error| io_error("cannot write")(error.into_error()))?;
-        file.as_file().sync_all().map_err(io_error("cannot write"))?;
-        make_readable(file.as_file());
-        let renamed = if overwrite { file.persist(path) } else { file.persist_noclobber(path) };
-        renamed.map_err(|error| io_error("cannot give it its name")(error.error))?;
+        drop(out);
+        part.rename(path, overwrite).map_err(io_error("cannot give it its name"))?;
         Ok(header.file_bytes)
     }
 
@@ -230,12 +324,16 @@ impl StoreWriter {
         let mut buffer = Vec::new();
         for node in &mut self.nodes {
             match &mut node.place {
-                Place::Memory(bytes) => out.write_all(&std::mem::take(bytes))?,
+                Place::Memory(bytes) => {
+                    self.scratch.before_write()?;
+                    out.write_all(&std::mem::take(bytes))?;
+                }
                 Place::File { offset, bytes } => {
                     let file = spill.as_mut().expect("spilled nodes have a spill file");
                     buffer.resize(*bytes as usize, 0);
                     file.seek(SeekFrom::Start(*offset))?;
                     file.read_exact(&mut buffer)?;
+                    self.scratch.before_write()?;
                     out.write_all(&buffer)?;
                 }
             }
@@ -271,14 +369,70 @@ fn copy_appendix(parts: &[AppendixPart], out: &mut impl Write) -> io::Result<u32
     Ok(checksum)
 }
 
-/// Temporary files are private; a finished store is as readable as any new file.
-fn make_readable(file: &File) {
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        // If the file system has no permissions there is nothing to loosen.
-        let _ = file.set_permissions(std::fs::Permissions::from_mode(0o644));
+/// Removes what a killed run may have left beside a destination.
+pub fn remove_dead_part(destination: &Path) {
+    if let Some(path) = part_path(destination) {
+        // If someone is writing it, it is not dead.
+        let _ = PartFile::remove_dead(&path);
     }
-    #[cfg(not(unix))]
-    let _ = file;
+}
+
+fn part_path(destination: &Path) -> Option<PathBuf> {
+    let name = destination.file_name()?.to_string_lossy();
+    Some(destination.with_file_name(format!(".{name}.part")))
+}
+
+/// A file being written beside its destination. Its name follows from the destination's, so that
+/// what a killed run left is found and written over; a lock keeps two runs apart.
+struct PartFile {
+    file: File,
+    path: PathBuf,
+}
+
+impl PartFile {
+    fn create(destination: &Path) -> io::Result<Self> {
+        let path = part_path(destination).ok_or(io::ErrorKind::InvalidInput)?;
+        // What a killed run left may be a second name of the destination: never written to.
+        PartFile::remove_dead(&path)?;
+        let file = OpenOptions::new().create_new(true).read(true).write(true).open(&path)?;
+        file.lock()?;
+        Ok(PartFile { file, path })
+    }
+
+    /// Removes a file that no living process is writing.
+    fn remove_dead(path: &Path) -> io::Result<()> {
+        let file = match OpenOptions::new().write(true).open(path) {
+            Ok(file) => file,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+            Err(error) => return Err(error),
+        };
+        file.try_lock().map_err(|error| match error {
+            TryLockError::WouldBlock => {
+                io::Error::new(io::ErrorKind::ResourceBusy, "another process is writing it")
+            }
+            TryLockError::Error(error) => error,
+        })?;
+        std::fs::remove_file(path)
+    }
+
+    /// Gives the file its name, which nothing else may have unless `overwrite`.
+    fn rename(self, destination: &Path, overwrite: bool) -> io::Result<()> {
+        if overwrite {
+            return std::fs::rename(&self.path, destination);
+        }
+        match std::fs::hard_link(&self.path, destination) {
+            Ok(()) => Ok(()),
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Err(error),
+            // Not every file system has links.
+            Err(_) if destination.exists() => Err(io::ErrorKind::AlreadyExists.into()),
+            Err(_) => std::fs::rename(&self.path, destination),
+        }
+    }
+}
+
+impl Drop for PartFile {
+    fn drop(&mut self) {
+        // It is gone already if it got its name by renaming.
+        let _ = std::fs::remove_file(&self.path);
+    }
 }

@@ -1,0 +1,374 @@
+//! The steps of a conversion, each from where it was left: reading, sorting into chunks, building.
+
+use std::sync::Mutex;
+use std::sync::atomic::AtomicBool;
+
+use rayon::prelude::*;
+
+use crate::build::BuildError;
+use crate::build::budget::Budget;
+use crate::build::checkpoint::{Checkpoints, State, Step, chunk_states, held_state, resume_chunks};
+use crate::build::chunk::{ChunkScratch, ChunkSink, build_chunk};
+use crate::build::encode::{FinishedNode, join_ranges};
+use crate::build::in_order::run_in_order;
+use crate::build::node::TreeRules;
+use crate::build::pages::{Page, PageStore};
+use crate::build::partition::{
+    ChunkRows, ChunkRowsState, OpenPages, Partition, PartitionShape, split, taken_by_shared_cells,
+};
+use crate::build::plan::{Chunk, Plan};
+use crate::build::progress::{Clock, Progress, Stage};
+use crate::build::rows::{RowLayout, RowTable};
+use crate::build::sources::Sources;
+use crate::build::spanning::Spanning;
+use crate::build::survey::{HeldPage, Part, Survey};
+use crate::build::work::Work;
+use crate::geometry::MortonKey;
+use crate::input::BlockBuffer;
+use crate::store::{StoreWriter, ValueRange};
+
+/// What all steps work with.
+pub struct Steps<'a, 'p> {
+    /// Hears how it goes on.
+    pub progress: &'a dyn Progress,
+    /// Set when the user wants to stop.
+    pub cancelled: &'a AtomicBool,
+    /// The input.
+    pub sources: &'a Sources,
+    /// Shares of the memory cap.
+    pub budget: Budget,
+    /// Where rows go.
+    pub pages: &'a PageStore<'p>,
+    /// Where node data goes that does not fit memory.
+    pub work: &'a Work,
+    /// Notes of how far it is.
+    pub checkpoints: Checkpoints<'a>,
+}
+
+/// What reading the input leaves behind.
+pub struct Surveyed<'p> {
+    /// What was found out.
+    pub survey: Survey,
+    /// Records of compressed inputs.
+    held: Vec<HeldPage<'p>>,
+    /// What is left of a killed run that was past reading.
+    later: Option<Step>,
+}
+
+/// What building leaves for writing.
+pub struct Built<'a> {
+    /// All nodes.
+    pub writer: StoreWriter<'a>,
+    /// Per attribute of the schema, per component.
+    pub ranges: Vec<Vec<ValueRange>>,
+    /// Points beyond one per finest cell.
+    pub overflow_points: u64,
+}
+
+impl<'a> Built<'a> {
+    /// No nodes yet.
+    pub fn new(writer: StoreWriter<'a>) -> Self {
+        Built { writer, ranges: Vec::new(), overflow_points: 0 }
+    }
+
+    fn add(&mut self, finished: FinishedNode) -> Result<(), BuildError> {
+        join_ranges(&mut self.ranges, &finished.ranges);
+        self.overflow_points += finished.overflow_points;
+        Ok(self.writer.add(finished.node)?)
+    }
+}
+
+/// The chunks of an input and what is in them.
+struct Chunks<'p, K> {
+    chunks: Vec<Chunk<K>>,
+    rows: Vec<ChunkRows<'p>>,
+}
+
+impl<'a, 'p> Steps<'a, 'p> {
+    /// Reads every point once.
+    pub fn survey(&mut self, resumed: Option<State>) -> Result<Surveyed<'p>, BuildError> {
+        let blocks = self.sources.blocks();
+        let (mut survey, mut held, mut next) = match resumed {
+            None => (Survey::new(blocks.len(), self.sources.expected_points()), Vec::new(), 0),
+            Some(State { survey, step: Step::Survey { done, held }, .. }) => {
+                (survey, held.into_iter().map(|page| page.resume()).collect(), done)
+            }
+            Some(State { survey, step, .. }) => {
+                return Ok(Surveyed { survey, held: Vec::new(), later: Some(step) });
+            }
+        };
+        self.progress.advance(survey.points);
+        let hold = self.sources.are_compressed().then_some(self.pages);
+        let mut parts: Vec<Part> = (0..self.budget.workers).map(|_| Part::new()).collect();
+        while next < blocks.len() {
+            let until = self.checkpoints.next();
+            next =
+                run_in_order(next..blocks.len(), until, self.cancelled, &mut parts, |part, i| {
+                    survey.read_block(self.sources, blocks[i], i, hold, part, self.progress)
+                })?;
+            parts.iter_mut().for_each(|part| survey.join(part, &mut held, self.pages));
+            if self.checkpoints.is_due() && next < blocks.len() {
+                let held = held_state(&mut held, self.pages)?;
+                let step = Step::Survey { done: next, held };
+                self.checkpoints.make(self.pages, &survey, step)?;
+            }
+        }
+        held.sort_by_key(|page| (page.block, page.first));
+        Ok(Surveyed { survey, held, later: None })
+    }
+
+    /// Sorts all points into chunks and builds these side by side.
+    pub fn build<K: MortonKey>(
+        &mut self,
+        surveyed: &mut Surveyed<'p>,
+        rules: &TreeRules,
+        clock: &mut Clock,
+    ) -> Result<Built<'a>, BuildError> {
+        let points = surveyed.survey.points;
+        let layout = RowLayout::new::<K>(self.sources.schema(), points);
+        let shape = PartitionShape {
+            layout,
+            page_shift: self.budget.page_shift(layout.stride()),
+            root_bits: rules.root_bits,
+            levels: rules.levels,
+        };
+        clock.begin(Stage::Partition, points);
+        let chunks = match surveyed.later.take() {
+            Some(Step::Build { done, chunks, rows, pending, nodes, ranges, overflow_points }) => {
+                let mut spanning = self.spanning::<K>(rules, &resume_chunks(&chunks));
+                spanning.resume(done, pending, self.pages)?;
+                let writer =
+                    StoreWriter::resume(self.work, self.budget.node_bytes as usize, nodes)?;
+                let built = Built { writer, ranges, overflow_points };
+                let rows = rows.into_iter().map(ChunkRows::resume).collect();
+                let chunks = Chunks { chunks: resume_chunks(&chunks), rows };
+                clock.begin(Stage::Build, points);
+                return self.build_chunks(chunks, done, spanning, built, surveyed, rules, shape);
+            }
+            Some(Step::Partition { done, held, chunks, rows }) => {
+                let plan = Plan::of_starts(resume_chunks(&chunks), rules.root_bits);
+                let rows = rows.into_iter().map(ChunkRows::resume).collect();
+                let partition = Partition::new(&plan, shape, self.pages).resume(rows);
+                surveyed.held = held.into_iter().map(|page| page.resume()).collect();
+                self.fill(surveyed, &plan, partition, done)?
+            }
+            _ => {
+                let plan = self.plan::<K>(&mut surveyed.survey, rules);
+                let partition = Partition::new(&plan, shape, self.pages);
+                self.fill(surveyed, &plan, partition, 0)?
+            }
+        };
+        let chunks = self.split_large(chunks, points, shape)?;
+        clock.begin(Stage::Build, points);
+        let spanning = self.spanning(rules, &chunks.chunks);
+        let writer = StoreWriter::new(self.work, self.budget.node_bytes as usize);
+        self.build_chunks(chunks, 0, spanning, Built::new(writer), surveyed, rules, shape)
+    }
+
+    fn spanning<K: MortonKey>(&self, rules: &TreeRules, chunks: &[Chunk<K>]) -> Spanning<K> {
+        Spanning::new(rules, chunks.iter().map(|chunk| chunk.end).collect())
+    }
+
+    fn plan<K: MortonKey>(&self, survey: &mut Survey, rules: &TreeRules) -> Plan<K> {
+        let sample = std::mem::take(&mut survey.sample);
+        let origin = survey.min;
+        let mut keys: Vec<K> = sample
+            .par_iter()
+            .map(|p| K::encode([0, 1, 2].map(|axis| (p[axis] - origin[axis]) as u32)))
+            .collect();
+        keys.par_sort_unstable();
+        let target = self.budget.chunk_points(survey.points);
+        Plan::new(&keys, survey.sample_weight, target, rules.root_bits, rules.levels)
+    }
+
+    /// Brings all points of the input into their chunks.
+    fn fill<K: MortonKey>(
+        &mut self,
+        surveyed: &mut Surveyed<'p>,
+        plan: &Plan<K>,
+        mut partition: Partition<'_, 'p, K>,
+        mut next: usize,
+    ) -> Result<Chunks<'p, K>, BuildError> {
+        let (sources, survey) = (self.sources, &surveyed.survey);
+        let record_bytes = sources.schema().record_bytes as usize;
+        let blocks = sources.blocks();
+        let first_indices = survey.first_indices();
+        let origin = |source: usize| {
+            let shift = sources.shift(source);
+            [0, 1, 2].map(|axis| survey.min[axis] - shift[axis])
+        };
+        let is_held = sources.are_compressed();
+        let held: Vec<Mutex<Option<HeldPage>>> = std::mem::take(&mut surveyed.held)
+            .into_iter()
+            .map(|page| Mutex::new(Some(page)))
+            .collect();
+        let count = if is_held { held.len() } else { blocks.len() };
+        let new_states = |partition: &Partition<'_, 'p, K>| -> Vec<(OpenPages<'p>, BlockBuffer)> {
+            (0..self.budget.workers).map(|_| (partition.open(), BlockBuffer::default())).collect()
+        };
+        let mut states = new_states(&partition);
+        while next < count {
+            let add_held = |open: &mut OpenPages<'p>, i: usize| {
+                let page = held[i].lock().expect("each is locked once").take();
+                let HeldPage { block, first, page } = page.expect("each is taken once");
+                let records = self.pages.load(page)?;
+                let first = first_indices[block] + first;
+                let origin = origin(blocks[block].0);
+                partition.add_records(open, &records, record_bytes, first, origin)?;
+                self.progress.advance((records.len() / record_bytes) as u64);
+                self.pages.give_back(records);
+                Ok(())
+            };
+            let add_block = |(open, buffer): &mut (OpenPages<'p>, BlockBuffer), i: usize| {
+                let (source, block) = blocks[i];
+                let (origin, mut found) = (origin(source), 0);
+                sources.read_block(source, block, buffer, &mut |records| {
+                    let first = first_indices[i] + found;
+                    partition.add_records(open, records, record_bytes, first, origin)?;
+                    let count = (records.len() / record_bytes) as u64;
+                    found += count;
+                    self.progress.advance(count);
+                    Ok(())
+                })?;
+                if found == survey.block_points[i] { Ok(()) } else { Err(BuildError::Changed) }
+            };
+            next = run_in_order(
+                next..count,
+                self.checkpoints.next(),
+                self.cancelled,
+                &mut states,
+                |state, i| if is_held { add_held(&mut state.0, i) } else { add_block(state, i) },
+            )?;
+            if self.checkpoints.is_due() && next < count {
+                for (open, _) in std::mem::replace(&mut states, new_states(&partition)) {
+                    partition.close(open)?;
+                }
+                let rows = partition.state()?;
+                let mut left = Vec::new();
+                for page in &held {
+                    // Those that are done need no place, only their number.
+                    let mut page = page.lock().expect("no holder of the lock panics");
+                    let page = page.get_or_insert(HeldPage {
+                        block: 0,
+                        first: 0,
+                        page: Page::Disk { offset: 0, bytes: 0 },
+                    });
+                    left.extend(held_state(std::slice::from_mut(page), self.pages)?);
+                }
+                let chunks = chunk_states(plan.chunks());
+                let step = Step::Partition { done: next, held: left, chunks, rows };
+                self.checkpoints.make(self.pages, survey, step)?;
+            }
+        }
+        states.into_iter().try_for_each(|(open, _)| partition.close(open))?;
+        Ok(Chunks { chunks: plan.chunks().to_vec(), rows: partition.into_chunks() })
+    }
+
+    /// Divides chunks that hold far more points than planned.
+    fn split_large<K: MortonKey>(
+        &self,
+        chunks: Chunks<'p, K>,
+        points: u64,
+        shape: PartitionShape,
+    ) -> Result<Chunks<'p, K>, BuildError> {
+        let Chunks { mut chunks, mut rows } = chunks;
+        let target = self.budget.chunk_points(points);
+        let too_many = self.budget.most_chunk_points.min(4 * target);
+        let is_too_large = |chunk: &Chunk<K>, rows: &ChunkRows| {
+            rows.points > too_many && chunk.level < shape.root_bits
+        };
+        let mut i = 0;
+        while i < chunks.len() {
+            if !is_too_large(&chunks[i], &rows[i]) {
+                i += 1;
+                continue;
+            }
+            let large = std::mem::take(&mut rows[i]);
+            let (parts, part_rows) = split(&chunks[i], large, target, shape, self.pages)?;
+            chunks.splice(i..=i, parts);
+            rows.splice(i..=i, part_rows);
+        }
+        Ok(Chunks { chunks, rows })
+    }
+
+    #[allow(clippy::too_many_arguments, reason = "what a killed run left, part by part")]
+    fn build_chunks<K: MortonKey>(
+        &mut self,
+        chunks: Chunks<'p, K>,
+        mut next: usize,
+        spanning: Spanning<K>,
+        built: Built<'a>,
+        surveyed: &Surveyed<'p>,
+        rules: &TreeRules,
+        shape: PartitionShape,
+    ) -> Result<Built<'a>, BuildError> {
+        let Chunks { chunks, rows } = chunks;
+        let taken = taken_by_shared_cells(&chunks, &rows, rules.root_bits, rules.levels);
+        let mut rows: Vec<Mutex<ChunkRows>> = rows.into_iter().map(Mutex::new).collect();
+        let (mut spanning, mut built) = (Mutex::new(spanning), Mutex::new(built));
+        let mut scratches: Vec<ChunkScratch<K>> = Vec::new();
+        scratches.resize_with(self.budget.workers, ChunkScratch::default);
+        while next < chunks.len() {
+            let finished = |finished: FinishedNode| -> Result<(), BuildError> {
+                self.progress.advance(u64::from(finished.node.levels.point_count()));
+                built.lock().expect("no holder of the lock panics").add(finished)
+            };
+            let step = |scratch: &mut ChunkScratch<K>, i: usize| {
+                let stored =
+                    std::mem::take(&mut rows[i].lock().expect("each is locked once").pages);
+                let loaded = stored.into_iter().map(|page| self.pages.load(page));
+                let loaded = loaded.collect::<Result<Vec<_>, _>>()?;
+                let slices: Vec<&[u8]> = loaded.iter().map(|page| &**page).collect();
+                let table = RowTable::new(&slices, shape.page_shift, shape.layout);
+                let mut finish = |node| finished(node);
+                let mut sink = ChunkSink { finished: &mut finish, contributions: Vec::new() };
+                build_chunk(rules, &chunks[i], table, &taken[i], scratch, &mut sink)?;
+                let contributions = sink.contributions;
+                loaded.into_iter().for_each(|page| self.pages.give_back(page));
+                let ready =
+                    spanning.lock().expect("no holder of the lock panics").add(i, contributions);
+                for node in ready {
+                    finished(node.finish(rules, shape.layout, &mut scratch.nodes))?;
+                }
+                Ok(())
+            };
+            next = run_in_order(
+                next..chunks.len(),
+                self.checkpoints.next(),
+                self.cancelled,
+                &mut scratches,
+                step,
+            )?;
+            if self.checkpoints.is_due() && next < chunks.len() {
+                let pending = inner(&mut spanning).state(self.pages)?;
+                let built = inner(&mut built);
+                let rows = rows.iter_mut().map(|rows| inner(rows).state(self.pages));
+                let step = Step::Build {
+                    done: next,
+                    chunks: chunk_states(&chunks),
+                    rows: rows.collect::<Result<Vec<ChunkRowsState>, _>>()?,
+                    pending,
+                    nodes: built.writer.state()?,
+                    ranges: finite_ranges(&built.ranges),
+                    overflow_points: built.overflow_points,
+                };
+                self.checkpoints.make(self.pages, &surveyed.survey, step)?;
+            }
+        }
+        Ok(built.into_inner().expect("no holder of the lock panics"))
+    }
+}
+
+fn inner<T>(mutex: &mut Mutex<T>) -> &mut T {
+    mutex.get_mut().expect("no holder of the lock panics")
+}
+
+/// Ranges of attributes without any number are infinite, which JSON cannot say: they are noted down
+/// by the largest numbers instead.
+fn finite_ranges(ranges: &[Vec<ValueRange>]) -> Vec<Vec<ValueRange>> {
+    let finite = |range: &ValueRange| ValueRange {
+        min: range.min.clamp(f64::MIN, f64::MAX),
+        max: range.max.clamp(f64::MIN, f64::MAX),
+    };
+    ranges.iter().map(|ranges| ranges.iter().map(finite).collect()).collect()
+}

@@ -17,7 +17,9 @@ use super::file::OutputFile;
 use super::las::{WriteReport, compress_error};
 use super::las_frame::{Tally, copy_evlrs, put, vlr_region};
 use super::laz_coding::{ChunkSize, LazCoding, NO_CHUNK_TABLE};
-use crate::input::{EVLR_HEADER_BYTES, LasTemplate, VLR_HEADER_BYTES, place};
+use crate::input::{
+    EVLR_HEADER_BYTES, LasTemplate, VLR_HEADER_BYTES, describes_extra_bytes, place,
+};
 use crate::octree::Octree;
 
 /// Size of the data of the record that leads to the hierarchy.
@@ -155,7 +157,8 @@ impl<'a> CopcWriter<'a> {
         let (pages, root) = self.hierarchy.pages(pages_start);
         self.file.put(&hierarchy_header(pages.len()))?;
         self.file.put(&pages)?;
-        let copied = copy_evlrs(&mut self.file, evlrs)?;
+        let describes = self.template.vlrs().iter().any(describes_extra_bytes);
+        let copied = copy_evlrs(&mut self.file, evlrs, describes)?;
         put(&mut self.header, place::EVLR_START, &first_record.to_le_bytes());
         put(&mut self.header, place::EVLR_COUNT, &(copied.count + 1).to_le_bytes());
 

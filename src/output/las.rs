@@ -14,7 +14,7 @@ use super::error::WriteError;
 use super::file::OutputFile;
 use super::las_frame::{Tally, copy_evlrs, put, vlr_region};
 use super::laz_coding::{ChunkSize, FixedChunks, LazCoding, NO_CHUNK_TABLE};
-use crate::input::{LasHeader, LasTemplate, place};
+use crate::input::{LasHeader, LasTemplate, describes_extra_bytes, place};
 use crate::points::Schema;
 
 /// How points are written.
@@ -39,6 +39,7 @@ pub struct WriteReport {
 pub struct LasWriter {
     file: OutputFile,
     template: LasHeader,
+    describes_extra_bytes: bool,
     header: Vec<u8>,
     tally: Tally,
     laz: Option<FixedChunks>,
@@ -81,7 +82,9 @@ impl LasWriter {
 
         let file = OutputFile::create(path)?;
         let tally = Tally::NONE;
-        let mut writer = LasWriter { file, tally, template: parsed, header, laz };
+        let describes_extra_bytes = template.vlrs().iter().any(describes_extra_bytes);
+        let mut writer =
+            LasWriter { file, tally, template: parsed, describes_extra_bytes, header, laz };
         // Counts are still the template's; the finished header takes this one's place.
         writer.file.put(&writer.header)?;
         writer.file.put(&region)?;
@@ -148,7 +151,7 @@ impl LasWriter {
 
     fn append_evlrs(&mut self, evlrs: &mut dyn Read) -> Result<(), WriteError> {
         let first = self.file.end();
-        let copied = copy_evlrs(&mut self.file, evlrs)?;
+        let copied = copy_evlrs(&mut self.file, evlrs, self.describes_extra_bytes)?;
         if self.template.minor >= 4 {
             let start = if copied.count > 0 { first } else { 0 };
             put(&mut self.header, place::EVLR_START, &start.to_le_bytes());

@@ -5,7 +5,9 @@ use std::path::Path;
 
 use super::error::WriteError;
 use super::file::OutputFile;
-use crate::input::{EVLR_HEADER_BYTES, LasHeader, LasTemplate, evlr_header, place};
+use crate::input::{
+    EVLR_HEADER_BYTES, LasHeader, LasTemplate, describes_extra_bytes, evlr_header, place,
+};
 use crate::points::record_coordinates;
 
 /// The bytes between header and points, and the number of records in them: the template's, without
@@ -45,10 +47,11 @@ pub(super) struct CopiedRecords {
 }
 
 /// Copies the extended records that `evlrs` gives, whole, one after the other, except those that
-/// describe an order of points.
+/// describe an order of points, and those that describe extra bytes if the template does.
 pub(super) fn copy_evlrs(
     file: &mut OutputFile,
     evlrs: &mut dyn Read,
+    template_describes: bool,
 ) -> Result<CopiedRecords, WriteError> {
     let mut copied = CopiedRecords::default();
     for index in 1.. {
@@ -63,7 +66,8 @@ pub(super) fn copy_evlrs(
         let evlr = (got == header.len()).then(|| evlr_header(&header, 0)).flatten();
         let evlr = evlr.ok_or_else(|| fault(format!("header of {got} bytes")))?;
         let mut data = evlrs.take(evlr.data.end);
-        let bytes = if evlr.is_copc() {
+        let is_left_out = evlr.is_copc() || describes_extra_bytes(&evlr) && template_describes;
+        let bytes = if is_left_out {
             io::copy(&mut data, &mut io::sink())
                 .map_err(|source| WriteError::io("read EVLRs for", source, file.path()))?
         } else {

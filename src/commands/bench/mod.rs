@@ -1,6 +1,9 @@
 //! `esker bench`: suites that put run time and deterministic counts against error, in one run.
 
+mod bars;
 mod cameras;
+mod convert;
+mod limits;
 mod lod;
 mod plot;
 
@@ -13,7 +16,7 @@ use clap::{Args, ValueEnum};
 
 use crate::build::{self, ConvertOptions, Silent};
 use crate::commands::inputs;
-use crate::commands::quantities::parse_picture_size;
+use crate::commands::quantities::{parse_bytes, parse_picture_size};
 use crate::store::Store;
 
 /// Arguments of `esker bench`.
@@ -22,8 +25,9 @@ pub struct BenchArgs {
     /// What is measured
     #[arg(value_enum)]
     suite: Suite,
-    /// Stores or scans; scans are converted into a temporary store first
-    #[arg(value_name = "FILE", required = true)]
+    /// lod: stores or scans; scans are converted into a temporary store first. convert: scans
+    /// [default: one beside the checkout, else one that is made]
+    #[arg(value_name = "FILE", required_if_eq("suite", "lod"))]
     files: Vec<PathBuf>,
     /// Folder for the CSV file and the plots
     #[arg(short, long, value_name = "DIR", default_value = "out/bench")]
@@ -34,6 +38,9 @@ pub struct BenchArgs {
     /// Size of the pictures [default: 1280x720, with --quick 640x360]
     #[arg(long, value_name = "WxH", value_parser = parse_picture_size)]
     size: Option<(u32, u32)>,
+    /// convert: most memory to use, such as 2GiB [default: half of what there is]
+    #[arg(long, value_parser = parse_bytes)]
+    memory: Option<u64>,
 }
 
 /// The suites.
@@ -41,6 +48,8 @@ pub struct BenchArgs {
 enum Suite {
     /// Level of detail: points drawn and time against holes, colour error and similarity
     Lod,
+    /// Conversion: the time of its stages against what the machine allows
+    Convert,
 }
 
 /// Runs a suite.
@@ -49,6 +58,7 @@ pub fn run(args: BenchArgs) -> anyhow::Result<ExitCode> {
         .with_context(|| format!("{}: cannot make the folder", args.output.display()))?;
     match args.suite {
         Suite::Lod => lod::run(&args)?,
+        Suite::Convert => convert::run(&args)?,
     }
     Ok(ExitCode::SUCCESS)
 }

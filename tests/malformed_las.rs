@@ -163,7 +163,7 @@ fn what_is_no_scan_is_told() {
 #[test]
 fn headers_that_make_no_sense_are_told() {
     let las = Specimen::las;
-    assert_fault!(las().put(25, &[5]).fault(), LasFault::UnknownVersion { major: 1, minor: 5 });
+    assert_fault!(las().put(25, &[6]).fault(), LasFault::UnknownVersion { major: 1, minor: 6 });
     assert_fault!(las().put(24, &[2]).fault(), LasFault::UnknownVersion { major: 2, .. });
     assert_fault!(las().put(104, &[11]).fault(), LasFault::UnknownPointFormat { format: 11 });
     assert_fault!(

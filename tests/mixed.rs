@@ -271,3 +271,22 @@ fn many_files_are_not_open_at_once() {
     let (store, points) = mixed(&paths, folder.path());
     assert_eq!((points.len(), store.metadata().sources.len()), (3000, 600));
 }
+
+#[test]
+fn the_longer_header_of_version_1_5_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let older = las(folder.path(), "older.las", 7, 20, |i, rest| rest[0] = i as u8);
+    let mut bytes = std::fs::read(&older).unwrap();
+    // Largest and smallest GPS time and an offset of time stand behind what 1.4 has.
+    bytes.splice(375..375, [7; 18]);
+    let start = u32::from_le_bytes(bytes[96..100].try_into().unwrap()) + 18;
+    bytes[25] = 5;
+    bytes[94..96].copy_from_slice(&393u16.to_le_bytes());
+    bytes[96..100].copy_from_slice(&start.to_le_bytes());
+    let newer = write(folder.path(), "newer.las", &bytes);
+    let (a, b) = (open(&older).unwrap(), open(&newer).unwrap());
+    assert_eq!((b.format().as_str(), b.schema()), ("las 1.5", a.schema()));
+    assert_eq!(read(&a).unwrap(), read(&b).unwrap());
+    let (_, points) = mixed(&[older, newer], folder.path());
+    assert_eq!(points.len(), 40);
+}

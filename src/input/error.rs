@@ -93,7 +93,7 @@ pub enum LasFault {
         needed_bytes: u64,
     },
     /// A version that this reader does not know.
-    #[error("unknown LAS version {major}.{minor} (byte 24), expected 1.0 to 1.4")]
+    #[error("unknown LAS version {major}.{minor} (byte 24), expected 1.0 to 1.5")]
     UnknownVersion {
         /// Major version.
         major: u8,

@@ -122,7 +122,8 @@ impl LasHeader {
         let least_bytes = match (major, minor) {
             // Version 1.3 added one pointer; headers of 1.3 without it are seen and read as 1.2.
             (1, 0..=3) => SHORTEST_HEADER_BYTES as u16,
-            (1, 4) => LONGEST_HEADER_BYTES as u16,
+            // Version 1.5 has 18 bytes more behind, which say nothing that reading needs.
+            (1, 4 | 5) => LONGEST_HEADER_BYTES as u16,
             _ => return Err(LasFault::UnknownVersion { major, minor }),
         };
         let header_bytes = u16::from_le_bytes([bytes[94], bytes[95]]);
@@ -136,6 +137,7 @@ impl LasHeader {
         // Missing trailing fields read as 0; bytes after the header never stand in for them.
         let mut padded = bytes[..usize::from(header_bytes)].to_vec();
         padded.resize(padded.len().max(LONGEST_HEADER_BYTES), 0);
+        padded[place::MINOR_VERSION] = minor.min(4);
         let raw = las::raw::Header::read_from(&padded[..])
             .map_err(|_| truncated(LONGEST_HEADER_BYTES as u64))?;
 

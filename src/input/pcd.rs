@@ -14,7 +14,7 @@ use super::detect::{ReadOptions, Signs};
 use super::foreign::{ForeignFault, ForeignReader, ScanPart};
 use super::positioned_file::PositionedFile;
 use super::table::{
-    AsciiEntry, AsciiRows, Field, FixedRows, RowPlan, Rows, TableFacts, TableReader,
+    AsciiEntry, AsciiRows, Field, FixedRows, RowPlan, Rows, TableFacts, TableReader, is_single,
 };
 use crate::points::Scalar;
 use columns::ColumnRows;
@@ -39,13 +39,10 @@ pub(super) fn open(
     _: &ReadOptions,
 ) -> Result<Box<dyn ForeignReader>, ForeignFault> {
     let header = Header::read(&file)?;
-    let is_double = |field: &&Field| {
-        ["x", "y", "z"].contains(&field.name.to_ascii_lowercase().as_str())
-            && field.scalar == Scalar::F64
-    };
+    let declared = header.fields.iter().map(|field| (field.name.as_str(), field.scalar));
     let facts = TableFacts {
         format: header.encoding.name().to_string(),
-        is_single: header.fields.iter().find(is_double).is_none(),
+        is_single: is_single(declared),
         part: ScanPart { name: None, pose: header.pose, points: 0 },
         applies_pose: false,
         skipped: Vec::new(),

@@ -12,7 +12,7 @@ use super::detect::{ReadOptions, Signs};
 use super::foreign::{ForeignFault, ForeignReader, ScanPart};
 use super::positioned_file::PositionedFile;
 use super::table::{
-    AsciiEntry, AsciiRows, Field, FixedRows, RowPlan, Rows, TableFacts, TableReader,
+    AsciiEntry, AsciiRows, Field, FixedRows, RowPlan, Rows, TableFacts, TableReader, is_single,
 };
 use crate::points::Scalar;
 use header::{Element, Encoding, Header, Property};
@@ -98,13 +98,13 @@ fn facts_of(header: &Header, place: usize) -> TableFacts {
     });
     let others = header.elements.iter().enumerate().filter(|(i, e)| *i != place && e.count > 0);
     let others = others.map(|(_, element)| (element.name.clone(), element.count));
-    let is_double = |property: &Property| {
-        matches!(property, Property::Number { name, scalar: Scalar::F64 }
-            if ["x", "y", "z"].contains(&name.as_str()))
-    };
+    let declared = cloud.properties.iter().filter_map(|property| match property {
+        Property::Number { name, scalar } => Some((name.as_str(), *scalar)),
+        Property::List { .. } => None,
+    });
     TableFacts {
         format: header.encoding.name().to_string(),
-        is_single: !cloud.properties.iter().any(is_double),
+        is_single: is_single(declared),
         part: ScanPart { name: None, pose: None, points: 0 },
         applies_pose: true,
         skipped: lists.chain(others).collect(),

@@ -11,5 +11,5 @@ mod reader;
 
 pub(super) use ascii::{AsciiRows, Entry as AsciiEntry};
 pub(super) use fixed::FixedRows;
-pub(super) use plan::{Field, RowPlan, snake_case};
+pub(super) use plan::{Field, RowPlan, is_single, snake_case};
 pub(super) use reader::{Rows, TableFacts, TableReader};

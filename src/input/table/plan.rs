@@ -208,6 +208,16 @@ fn standard_name(field: &Placed) -> String {
     }
 }
 
+/// Whether single precision holds every coordinate, by the types that a file declares. Names are
+/// compared as [`RowPlan`] does, so that the axes are those that it finds.
+pub fn is_single<'a>(fields: impl IntoIterator<Item = (&'a str, Scalar)>) -> bool {
+    let axes = fields.into_iter().filter(|(name, _)| {
+        let name = snake_case(name);
+        ["x", "y", "z"].contains(&name.as_str())
+    });
+    axes.into_iter().all(|(_, scalar)| scalar == Scalar::F32 || scalar.bytes() <= 2)
+}
+
 /// A file's own name as a word of lower case letters, digits and low lines.
 pub fn snake_case(name: &str) -> String {
     let mut word = String::new();
@@ -233,6 +243,17 @@ pub fn snake_case(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn doubles_are_seen_under_any_name_that_is_an_axis() {
+        let single = |name, scalar| is_single([("x", Scalar::F32), (name, scalar)]);
+        assert!(single("y", Scalar::F32) && single("Y", Scalar::I16));
+        assert!(single("time", Scalar::F64));
+        for name in ["y", "Y", "y ", "(y)"] {
+            assert!(!single(name, Scalar::F64), "{name}");
+        }
+        assert!(!single("z", Scalar::I32), "f32 does not hold them all");
+    }
 
     fn field(name: &str, scalar: Scalar) -> Field {
         Field { name: name.into(), scalar, count: 1 }

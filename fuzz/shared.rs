@@ -57,9 +57,16 @@ pub fn stay_on_this_thread() {
 
 fn read_scan(name: &str, bytes: Vec<u8>, options: &ReadOptions) -> Outcome {
     let opened = Scan::of(PositionedFile::in_memory(bytes), Path::new(name), options);
-    match opened.and_then(|scan| read_points(&scan)) {
+    let refused = |error: ScanError| Outcome::Refused(error.to_string());
+    let scan = match opened {
+        Ok(scan) => scan,
+        Err(error) => return refused(error),
+    };
+    let is_text = ["pts", "ptx", "text"].iter().any(|kind| scan.format().starts_with(kind));
+    match read_points(&scan) {
         Ok(points) => Outcome::Read(points),
-        Err(error) => Outcome::Refused(error.to_string()),
+        Err(error) if is_text => panic!("opening has read this text already: {error}"),
+        Err(error) => refused(error),
     }
 }
 

@@ -14,9 +14,8 @@ use super::detect::{ReadOptions, Signs};
 use super::foreign::{ForeignFault, ForeignReader, ScanPart};
 use super::positioned_file::PositionedFile;
 use super::table::{
-    AsciiEntry, AsciiRows, Field, FixedRows, RowPlan, Rows, TableFacts, TableReader, is_single,
+    AsciiEntry, AsciiRows, FixedRows, RowPlan, Rows, TableFacts, TableReader, is_single,
 };
-use crate::points::Scalar;
 use columns::ColumnRows;
 use header::{Encoding, Header};
 

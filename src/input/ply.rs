@@ -14,7 +14,6 @@ use super::positioned_file::PositionedFile;
 use super::table::{
     AsciiEntry, AsciiRows, Field, FixedRows, RowPlan, Rows, TableFacts, TableReader, is_single,
 };
-use crate::points::Scalar;
 use header::{Element, Encoding, Header, Property};
 use listed::ListedRows;
 

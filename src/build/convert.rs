@@ -52,6 +52,29 @@ pub fn convert(
     progress: &dyn Progress,
     cancelled: &AtomicBool,
 ) -> Result<ConvertReport, BuildError> {
+    convert_with(output, options, progress, cancelled, |conversion| {
+        conversion.run(&Sources::open(inputs, &options.read)?)
+    })
+}
+
+/// Converts files that are open already; see [`convert`].
+pub fn convert_sources(
+    sources: &Sources,
+    output: &Path,
+    options: &ConvertOptions,
+    progress: &dyn Progress,
+    cancelled: &AtomicBool,
+) -> Result<ConvertReport, BuildError> {
+    convert_with(output, options, progress, cancelled, |conversion| conversion.run(sources))
+}
+
+fn convert_with(
+    output: &Path,
+    options: &ConvertOptions,
+    progress: &dyn Progress,
+    cancelled: &AtomicBool,
+    run: impl FnOnce(Conversion<'_>) -> Result<ConvertReport, BuildError> + Send,
+) -> Result<ConvertReport, BuildError> {
     assert!(
         DEPTH_RANGE.contains(&options.depth),
         "depth {} is not in {DEPTH_RANGE:?}",
@@ -68,7 +91,7 @@ pub fn convert(
         .num_threads(options.threads)
         .build()
         .map_err(|error| temporary("cannot start threads", std::io::Error::other(error), output))?;
-    pool.install(|| conversion.run(inputs))
+    pool.install(|| run(conversion))
 }
 
 struct Conversion<'a> {
@@ -79,9 +102,9 @@ struct Conversion<'a> {
 }
 
 impl Conversion<'_> {
-    fn run(&self, inputs: &[PathBuf]) -> Result<ConvertReport, BuildError> {
+    fn run(&self, sources: &Sources) -> Result<ConvertReport, BuildError> {
         let work = Work::new(&self.temp_dir(), self.output, self.options.before_write.clone());
-        let outcome = self.run_in(inputs, &work);
+        let outcome = self.run_in(sources, &work);
         // What a failed run noted down serves the next one only if nothing is wrong with the input.
         let can_go_on = matches!(outcome, Err(BuildError::Interrupted)) && work.has_state();
         if !can_go_on {
@@ -90,11 +113,12 @@ impl Conversion<'_> {
         outcome
     }
 
-    fn run_in(&self, inputs: &[PathBuf], work: &Work) -> Result<ConvertReport, BuildError> {
+    fn run_in(&self, sources: &Sources, work: &Work) -> Result<ConvertReport, BuildError> {
         let mut clock = Clock::new(self.progress);
-        let sources = Sources::open(inputs, &self.options.read)?;
         let schema = sources.schema();
-        let job = checkpoint::job(inputs, self.options);
+        let inputs: Vec<PathBuf> =
+            sources.scans().iter().map(|source| source.path().to_path_buf()).collect();
+        let job = checkpoint::job(&inputs, self.options);
         let resumed: Option<State> = work.state(&job)?;
         let mut budget = Budget::new(self.options, schema, sources.expected_points())?;
         budget.page_bytes = resumed.as_ref().map_or(budget.page_bytes, |state| state.page_bytes);
@@ -105,7 +129,7 @@ impl Conversion<'_> {
         let mut steps = Steps {
             progress: self.progress,
             cancelled: self.cancelled,
-            sources: &sources,
+            sources,
             budget,
             pages: &pages,
             work,
@@ -116,7 +140,7 @@ impl Conversion<'_> {
         let mut surveyed = steps.survey(resumed)?;
         let root_bits = surveyed.survey.root_bits(self.options.depth);
         if root_bits > u128::MAX_BITS {
-            let path = inputs.last().expect("sources have a file").clone();
+            let path = sources.scans().last().expect("there is a file").path().to_path_buf();
             return Err(BuildError::TooWide { steps: 1 << (root_bits - 1), path });
         }
         let color_bits =

@@ -29,9 +29,10 @@ mod steps;
 mod survey;
 mod work;
 
-pub use convert::{ConvertReport, convert};
+pub use convert::{ConvertReport, convert, convert_sources};
 pub use error::BuildError;
 pub use node::Representative;
 pub use options::{ConvertOptions, DEPTH_RANGE, available_memory};
 pub use progress::{Progress, Silent, Stage, StageTime};
+pub use sources::{Source, Sources};
 pub use work::BeforeWrite;

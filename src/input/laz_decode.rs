@@ -169,8 +169,9 @@ pub(super) fn decode_block<E: From<LasFault>>(
     }
     let mut part = block.clone();
     let mut done = 0;
-    while done < block.points {
+    while done < block.expected_points() {
         part.first_point = block.first_point + done;
+        part.wanted = block.wanted.saturating_sub(done);
         part.points = match coding.chunks {
             ChunkRule::Fixed(size) => u64::from(size).min(block.points - done),
             ChunkRule::Variable | ChunkRule::None => block.points - done,
@@ -215,12 +216,14 @@ impl Run<'_> {
         let reader = ChunkReader::new(self.file, self.window, bytes.clone());
         let mut decompressor = decompressor(self.coding, reader)
             .map_err(|error| LasFault::Laszip { reason: error.to_string() })?;
+        let wants_all = block.wanted >= points;
+        points = points.min(block.wanted);
         let record_bytes = usize::from(self.coding.record_bytes);
         let batch = batch_records(self.coding.record_bytes);
         let mut done = 0;
         // The oldest compressor's run has no table: bytes that are left after the claimed points
         // are points that the header does not know.
-        let open_ended = block.is_sequence && self.coding.chunks == ChunkRule::None;
+        let open_ended = block.is_sequence && self.coding.chunks == ChunkRule::None && wants_all;
         loop {
             let wanted = if done < points {
                 batch.min(points - done)

@@ -29,6 +29,7 @@ mod placing;
 mod ply;
 mod point_format;
 mod positioned_file;
+mod sample;
 mod scan;
 mod scan_file;
 mod table;

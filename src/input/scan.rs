@@ -114,24 +114,36 @@ pub struct Block {
     pub(super) chunk: u64,
     /// Whether it is everything there is, chunk after chunk without a table.
     pub(super) is_sequence: bool,
+    /// How many of a LAZ block's points are wanted, from its first on.
+    pub(super) wanted: u64,
 }
 
 impl Block {
     pub(super) fn records(first_point: u64, points: u64, bytes: Range<u64>) -> Self {
-        Block { first_point, points, bytes, chunk: 0, is_sequence: false }
+        Block { first_point, points, bytes, chunk: 0, is_sequence: false, wanted: u64::MAX }
     }
 
     pub(super) fn chunk(chunk: u64, first_point: u64, points: u64, bytes: Range<u64>) -> Self {
-        Block { first_point, points, bytes, chunk, is_sequence: false }
+        Block { chunk, ..Block::records(first_point, points, bytes) }
     }
 
     /// A block of a foreign reader.
     pub(super) fn rows(index: u64, first_point: u64, points: u64) -> Self {
-        Block { first_point, points, bytes: 0..0, chunk: index, is_sequence: false }
+        Block { chunk: index, ..Block::records(first_point, points, 0..0) }
     }
 
     pub(super) fn sequence(points: u64, bytes: Range<u64>) -> Self {
-        Block { first_point: 0, points, bytes, chunk: 0, is_sequence: true }
+        Block { is_sequence: true, ..Block::records(0, points, bytes) }
+    }
+
+    /// The same LAZ block, of which only so many points are read, from the first on.
+    pub(super) fn beginning(&self, points: u64) -> Self {
+        Block { wanted: points, ..self.clone() }
+    }
+
+    /// How many points reading it is expected to hand out.
+    pub fn expected_points(&self) -> u64 {
+        self.points.min(self.wanted)
     }
 
     /// Which block of a foreign reader it is.

@@ -1,7 +1,7 @@
 //! What a store tells about each source.
 
 use crate::build::sources::{Source, Sources};
-use crate::input::{ForeignScan, Pose, Scan};
+use crate::input::{Block, ForeignScan, Pose, Scan};
 use crate::store::{AppendixPart, CrsInfo, DroppedPoints, PoseInfo, SkippedItems, SourceInfo};
 
 /// What is to stand in the metadata and the appendix about the sources.
@@ -27,6 +27,9 @@ impl Sources {
                 Scan::Foreign(scan) => describe_foreign(source, scan, &mut described),
             }
         }
+        if let Some(sample) = &self.sample {
+            self.tell_sample(sample, &mut described.infos);
+        }
         let dropped = described.infos.iter().flat_map(|info| &info.dropped);
         described.dropped_points = dropped.map(|dropped| dropped.points).sum();
         let told = self.scans().iter().map(|source| source.scan.crs());
@@ -34,6 +37,23 @@ impl Sources {
         described.crs =
             crs.map_or(CrsInfo::default(), |crs| CrsInfo { epsg: crs.epsg, wkt: crs.wkt.clone() });
         described
+    }
+
+    /// Counts what a sample takes of files outside the LAS family; what was left out of it was not
+    /// dropped.
+    fn tell_sample(&self, sample: &[(usize, Block)], infos: &mut [SourceInfo]) {
+        for info in infos.iter_mut().filter(|info| info.point_format.is_none()) {
+            (info.points, info.dropped) = (0, Vec::new());
+        }
+        for (file, block) in sample {
+            let source = &self.scans()[*file];
+            let at = source.first_source as usize + source.scan.part_of(block);
+            if source.scan.las().is_none()
+                && let Some(info) = infos.get_mut(at)
+            {
+                info.points += block.expected_points();
+            }
+        }
     }
 }
 

@@ -12,6 +12,7 @@ mod layout;
 mod source;
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use glam::{DVec3, I64Vec3};
 use rayon::prelude::*;
@@ -26,9 +27,11 @@ pub use source::Source;
 
 /// Input files in a common record layout, on a common lattice.
 pub struct Sources {
-    scans: Vec<Source>,
+    scans: Arc<[Source]>,
     schema: Schema,
     lattice: Lattice,
+    /// The blocks that are read, each with its file, if not all are.
+    sample: Option<Vec<(usize, Block)>>,
 }
 
 impl Sources {
@@ -52,7 +55,8 @@ impl Sources {
             own_attributes: None,
             warnings: Vec::new(),
         };
-        Ok(Sources { scans: scans.into_iter().map(untouched).collect(), schema, lattice })
+        let scans = scans.into_iter().map(untouched).collect();
+        Ok(Sources { scans, schema, lattice, sample: None })
     }
 
     fn join(mut scans: Vec<Scan>, sources: usize) -> Result<Self, BuildError> {
@@ -106,7 +110,21 @@ impl Sources {
             let adapter = Some(adapter);
             Source { scan, adapter, first_source, shift, own_attributes, warnings }
         });
-        Ok(Sources { scans: scans.collect(), schema, lattice })
+        Ok(Sources { scans: scans.collect(), schema, lattice, sample: None })
+    }
+
+    /// The same files, of which only about so many points are read, spread evenly over all.
+    ///
+    /// Made for a first look: a block that is damaged ends where the damage is, and that is all.
+    pub fn sampled(&self, points: u64) -> Self {
+        let all: u64 = self.scans.iter().map(|source| source.scan.points()).sum();
+        let share = points as f64 / all.max(1) as f64;
+        let files = self.scans.iter().enumerate();
+        let sample = files.flat_map(|(i, source)| {
+            source.scan.sampled_blocks(share).into_iter().map(move |block| (i, block))
+        });
+        let (scans, schema) = (Arc::clone(&self.scans), self.schema.clone());
+        Sources { scans, schema, lattice: self.lattice, sample: Some(sample.collect()) }
     }
 
     /// The files.
@@ -132,6 +150,9 @@ impl Sources {
     /// About how many points to be ready for: exact where the files tell, generous where they
     /// only claim.
     pub fn expected_points(&self) -> u64 {
+        if let Some(sample) = &self.sample {
+            return sample.iter().map(|(_, block)| block.expected_points()).sum();
+        }
         let expected = |Source { scan, .. }: &Source| match scan.points_exact() {
             true => scan.points(),
             false => scan.points().max(scan.file_bytes() / 2),
@@ -144,8 +165,11 @@ impl Sources {
         self.scans.iter().any(|source| source.scan.is_compressed())
     }
 
-    /// All blocks of all files, in input order, each with its file.
+    /// All blocks that are read, in input order, each with its file.
     pub fn blocks(&self) -> Vec<(usize, &Block)> {
+        if let Some(sample) = &self.sample {
+            return sample.iter().map(|(i, block)| (*i, block)).collect();
+        }
         let scans = self.scans.iter().enumerate();
         scans.flat_map(|(i, scan)| scan.blocks().iter().map(move |block| (i, block))).collect()
     }
@@ -158,8 +182,11 @@ impl Sources {
         buffer: &mut BlockBuffer,
         take: &mut dyn FnMut(&[u8]) -> Result<(), BuildError>,
     ) -> Result<(), BuildError> {
-        self.scans[source].read_block(block, buffer, &mut |_, records| take(records))?;
-        Ok(())
+        let outcome = self.scans[source].read_block(block, buffer, &mut |_, records| take(records));
+        match outcome {
+            Err(BuildError::Input(_)) if self.sample.is_some() => Ok(()),
+            outcome => outcome.map(|_| ()),
+        }
     }
 }
 

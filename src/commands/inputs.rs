@@ -10,24 +10,38 @@ use crate::input::scan_suffixes;
 /// by name. A folder counts with all folders in it; only its scan files count.
 pub fn expand(arguments: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
     let mut files = Vec::new();
-    for argument in arguments {
-        if argument.is_dir() {
-            let before = files.len();
-            collect_folder(argument, &mut files)
-                .with_context(|| format!("{}: cannot list the folder", argument.display()))?;
-            if files.len() == before {
-                let known: Vec<String> =
-                    scan_suffixes().map(|suffix| format!(".{suffix}")).collect();
-                let known = known.join(", ");
-                bail!("{}: no scan file ({known}) in this folder", argument.display());
-            }
-            files[before..].sort();
-        } else if argument.exists() {
-            files.push(argument.clone());
-        } else {
-            files.extend(expand_pattern(argument)?);
+    for path in expand_files(arguments)? {
+        match path.is_dir() {
+            true => files.extend(expand_folder(&path)?),
+            false => files.push(path),
         }
     }
+    Ok(files)
+}
+
+/// The same, but folders are left as they are.
+pub fn expand_files(arguments: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
+    let mut paths = Vec::new();
+    for argument in arguments {
+        match argument.exists() {
+            true => paths.push(argument.clone()),
+            false => paths.extend(expand_pattern(argument)?),
+        }
+    }
+    Ok(paths)
+}
+
+/// The scan files of a folder and of all folders in it, sorted by name.
+pub fn expand_folder(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
+    let mut files = Vec::new();
+    collect_folder(folder, &mut files)
+        .with_context(|| format!("{}: cannot list the folder", folder.display()))?;
+    if files.is_empty() {
+        let known: Vec<String> = scan_suffixes().map(|suffix| format!(".{suffix}")).collect();
+        let known = known.join(", ");
+        bail!("{}: no scan file ({known}) in this folder", folder.display());
+    }
+    files.sort();
     Ok(files)
 }
 

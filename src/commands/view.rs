@@ -8,9 +8,10 @@ use clap::Args;
 #[cfg(feature = "viewer")]
 #[derive(Debug, Args)]
 pub struct ViewArgs {
-    /// Stores and scans; a scan is converted first, to NAME.esker beside it if nothing has that
-    /// name and the folder can be written, else to a temporary store. Without files: an empty
-    /// window to drop them on
+    /// Stores, scans, folders of scans. Scans are shown at once by some of their points and
+    /// converted, to NAME.esker beside them if nothing has that name and the folder can be written,
+    /// else to a temporary store; those of a folder become one store beside it. Without files: an
+    /// empty window to drop them on
     files: Vec<std::path::PathBuf>,
     /// The first view: top, front, left, iso
     #[arg(long, default_value = "iso")]
@@ -37,6 +38,10 @@ pub struct ViewArgs {
     /// Convert scans to temporary stores, never beside them
     #[arg(long)]
     temporary: bool,
+    /// Points of the first preview of scans that have no store yet; 0 for no previews
+    #[arg(long, value_name = "POINTS", default_value = "250k", hide_short_help = true,
+        value_parser = crate::commands::quantities::parse_count)]
+    preview: u64,
     /// Counters as JSON, written at the end and whenever F5 is pressed
     #[arg(long, value_name = "FILE.json")]
     stats: Option<std::path::PathBuf>,
@@ -53,11 +58,12 @@ pub struct ViewArgs {
 pub fn run(args: ViewArgs) -> anyhow::Result<ExitCode> {
     use std::sync::Arc;
     use std::sync::atomic::{AtomicBool, Ordering};
-    use std::time::Duration;
+    use std::time::{Duration, Instant};
 
     use crate::commands::inputs;
-    use crate::viewer::{self, ViewerOptions, WindowOptions};
+    use crate::viewer::{self, OpeningOptions, ViewerOptions, WindowOptions};
 
+    let began = Instant::now();
     let mut frame = viewer::first_settings();
     frame.color = match args.color.parse() {
         Ok(mode) => mode,
@@ -70,7 +76,7 @@ pub fn run(args: ViewArgs) -> anyhow::Result<ExitCode> {
         Some(Err(error)) => anyhow::bail!("--exit-after: {error}"),
     };
     let options = WindowOptions {
-        files: inputs::expand(&args.files)?,
+        files: inputs::expand_files(&args.files)?,
         path: args.renderer.path(),
         node_limit_bytes: args.point_memory,
         point_budget: args.budget,
@@ -80,7 +86,13 @@ pub fn run(args: ViewArgs) -> anyhow::Result<ExitCode> {
         viewer: ViewerOptions {
             frame,
             view: args.view,
-            temporary_stores: args.temporary,
+            opening: OpeningOptions {
+                temporary: args.temporary,
+                preview_points: Some(args.preview),
+                list_folder: Some(inputs::expand_folder),
+                ..OpeningOptions::default()
+            },
+            began: Some(began),
             stats: args.stats,
             ..ViewerOptions::default()
         },

@@ -246,7 +246,34 @@ impl Coloring {
     }
 }
 
+impl Coloring {
+    /// Whether it shows the same as another one on nearly the same range.
+    pub fn is_near(&self, other: &Coloring) -> bool {
+        match (self, other) {
+            (Coloring::Elevation(ramp), Coloring::Elevation(other)) => ramp.is_near(other),
+            (
+                Coloring::Values { attribute, ramp },
+                Coloring::Values { attribute: others, ramp: other },
+            ) => attribute == others && ramp.is_near(other),
+            _ => false,
+        }
+    }
+}
+
+/// Part of a range by which the ends of a near one may differ.
+const NEAR: f64 = 0.05;
+
 impl Ramp {
+    /// Whether it has the same colours on nearly the same range.
+    fn is_near(&self, other: &Ramp) -> bool {
+        if self.per_value == 0.0 || other.per_value == 0.0 || self.colors != other.colors {
+            return false;
+        }
+        let [span, others] = [self, other].map(|ramp| 255.0 / ramp.per_value);
+        let high = self.low + span - other.low - others;
+        (self.low - other.low).abs() <= NEAR * span && high.abs() <= NEAR * span
+    }
+
     fn new(low: f64, high: f64, keys: Keys) -> Self {
         let span = high - low;
         let per_value = if span > 0.0 { 255.0 / span } else { 0.0 };

@@ -100,6 +100,8 @@ pub struct Renderer {
     sources: Vec<Arc<dyn NodeSource>>,
     coloring: Vec<Coloring>,
     colored_by: Option<ColorMode>,
+    /// How the scene was coloured that this one takes the place of.
+    former: Option<(ColorMode, Vec<Coloring>)>,
     cache: NodeCache,
     failed: HashSet<SceneNode>,
     problems: Vec<String>,
@@ -166,6 +168,7 @@ impl Renderer {
             sources: Vec::new(),
             coloring: Vec::new(),
             colored_by: None,
+            former: None,
             cache: NodeCache::new(storage),
             failed: HashSet::new(),
             problems: Vec::new(),
@@ -192,10 +195,20 @@ impl Renderer {
     pub fn set_scene(&mut self, sources: Vec<Arc<dyn NodeSource>>) {
         self.sources = sources;
         self.colored_by = None;
+        self.former = None;
         self.failed.clear();
         self.problems.clear();
         self.cache.clear();
         self.last = None;
+    }
+
+    /// Replaces the scene by one that shows the same more exactly: where ranges of colours are
+    /// nearly those that are shown, they stay as they are.
+    pub fn replace_scene(&mut self, sources: Vec<Arc<dyn NodeSource>>) {
+        let shown = self.colored_by.take().zip(Some(std::mem::take(&mut self.coloring)));
+        let former = shown.or(self.former.take());
+        self.set_scene(sources);
+        self.former = former;
     }
 
     /// The box of all points of the scene; empty without points.
@@ -396,6 +409,15 @@ impl Renderer {
                     Coloring::Plain
                 },
             ));
+        }
+        if let Some((former_mode, former)) = self.former.take()
+            && former_mode == *mode
+        {
+            for settled in &mut coloring {
+                if let Some(near) = former.iter().find(|former| settled.is_near(former)) {
+                    *settled = near.clone();
+                }
+            }
         }
         self.coloring = coloring;
         problems.into_iter().for_each(|problem| self.note_problem(problem));

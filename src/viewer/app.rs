@@ -7,6 +7,7 @@
 use std::mem;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::time::Instant;
 
 use egui::{Color32, Event, Key, MouseWheelUnit, PointerButton, Pos2, Rect, Response, Sense, Ui};
 use glam::{DVec2, DVec3};
@@ -14,11 +15,12 @@ use glam::{DVec2, DVec3};
 use crate::frame::{FrameError, FrameSettings, FrameStats, Loading, NodeSource, Renderer};
 use crate::geometry::{Aabb, View, ViewPreset};
 use crate::gpu::GpuError;
+use crate::store::Store;
 use crate::viewer::canvas::Canvas;
 use crate::viewer::keys::{self, KeyCommand};
-use crate::viewer::opening::{Advance, Opened, OpenedFile, Opening};
+use crate::viewer::opening::{Advance, KeptIn, Opened, OpenedFile, Opening, OpeningOptions};
 use crate::viewer::panels::{self, FileAction, Notice};
-use crate::viewer::statistics::Statistics;
+use crate::viewer::statistics::{Milestone, Statistics};
 use crate::viewer::{CameraControl, DragKind};
 
 /// What the viewer is told at its start.
@@ -28,8 +30,10 @@ pub struct ViewerOptions {
     pub frame: FrameSettings,
     /// The first view.
     pub view: ViewPreset,
-    /// Convert scans to temporary stores, never beside them.
-    pub temporary_stores: bool,
+    /// How files are opened.
+    pub opening: OpeningOptions,
+    /// When the program began.
+    pub began: Option<Instant>,
     /// Where statistics are written.
     pub stats: Option<PathBuf>,
     /// What draws, in words.
@@ -53,6 +57,14 @@ pub struct Viewer {
     was_moved: bool,
     files: Vec<OpenedFile>,
     opening: Option<Opening>,
+    /// The preview on view of what is being opened.
+    preview: Option<Arc<Store>>,
+    /// Whether the next frame is the first of another scene at the same place, which shall not be
+    /// coarser than the last one.
+    takes_over: bool,
+    /// Whether the next frame is the first of a scene.
+    is_new_scene: bool,
+    milestones: Vec<Milestone>,
     /// The next file to arrive takes the place of those on view.
     replaces: bool,
     add_dropped: bool,
@@ -82,6 +94,8 @@ const LONGEST_STEP_SECONDS: f64 = 0.25;
 const QUOTA_BYTES: u64 = 8 << 20;
 /// Most notices kept.
 const MAX_NOTICES: usize = 8;
+/// Most milestones kept.
+const MAX_MILESTONES: usize = 16;
 
 /// Settings of a window's first frame: as a picture's, but nodes come a share per frame, so that
 /// the window answers while they do.
@@ -102,6 +116,10 @@ impl Viewer {
             was_moved: false,
             files: Vec::new(),
             opening: None,
+            preview: None,
+            takes_over: false,
+            is_new_scene: false,
+            milestones: Vec::new(),
             replaces: false,
             add_dropped: false,
             notices: Vec::new(),
@@ -129,13 +147,19 @@ impl Viewer {
         }
         // The old request ends before the new one begins, so both never write one store.
         self.opening = None;
-        self.replaces = !self.add_dropped;
         let ctx = ctx.clone();
         let wake = Arc::new(move || ctx.request_repaint());
-        match Opening::start(files, self.options.temporary_stores, wake) {
-            Ok(opening) => self.opening = Some(opening),
+        match Opening::start(files, self.options.opening.clone(), wake) {
+            Ok(opening) => self.follow(opening),
             Err(error) => self.note(format!("cannot start a thread: {error}"), true),
         }
+    }
+
+    /// Shows the files of a request that was started elsewhere.
+    pub fn follow(&mut self, opening: Opening) {
+        self.replaces = !self.add_dropped;
+        self.preview = None;
+        self.opening = Some(opening);
     }
 
     /// Takes in what happened beside the window. Call before [`ui`](Self::ui).
@@ -144,7 +168,12 @@ impl Viewer {
         let is_finished = opening.is_finished();
         while let Some(news) = opening.next() {
             match news {
-                Opened::File(file) => self.show_file(file),
+                Opened::Files(files) => self.show_files(files),
+                Opened::Preview(file) => {
+                    let store = file.store.clone();
+                    self.show_files(vec![file]);
+                    self.preview = Some(store);
+                }
                 Opened::Warning(text) => self.note(text, false),
                 Opened::Failed(text) => self.note(text, true),
             }
@@ -159,6 +188,9 @@ impl Viewer {
     /// Shows everything and draws the points if they have to be drawn.
     pub fn ui(&mut self, ui: &mut Ui) {
         let ctx = ui.ctx().clone();
+        if self.milestones.is_empty() {
+            self.reach("window");
+        }
         if ctx.current_pass_index() == 0 {
             self.take_dropped_files(&ctx);
             self.take_keys(&ctx);
@@ -197,6 +229,7 @@ impl Viewer {
             bytes_uploaded: self.bytes_uploaded,
             node_limit_bytes: self.options.node_limit_bytes,
             is_opening: self.opening.is_some(),
+            milestones: self.milestones.clone(),
             frame: self.drawn.clone(),
             notices: self.notices.iter().map(|notice| notice.text.clone()).collect(),
         }
@@ -247,27 +280,39 @@ impl Viewer {
         }
     }
 
-    fn show_file(&mut self, file: OpenedFile) {
+    fn show_files(&mut self, files: Vec<OpenedFile>) {
         if mem::take(&mut self.replaces) {
             self.files.clear();
             self.was_moved = false;
         }
-        self.files.push(file);
-        self.take_scene();
+        let count = self.files.len();
+        if let Some(preview) = self.preview.take() {
+            self.files.retain(|file| !Arc::ptr_eq(&file.store, &preview));
+        }
+        let takes_over = self.files.len() < count;
+        self.files.extend(files);
+        self.take_scene(takes_over);
         // Files that come one by one are framed together, unless somebody looks around already.
-        if !self.was_moved {
+        if !takes_over && !self.was_moved {
             self.asked_view = Some(self.options.view);
         }
     }
 
-    fn take_scene(&mut self) {
+    /// Gives the renderer what is on view. A scene that `takes_over` shows what the last one did,
+    /// only better: nothing but detail may change.
+    fn take_scene(&mut self, takes_over: bool) {
         let sources = self.files.iter().map(|file| file.store.clone() as Arc<dyn NodeSource>);
         let sources: Vec<_> = sources.collect();
         let offers = |source: &Arc<dyn NodeSource>| self.settings.color.is_offered_by(&**source);
         if !sources.iter().any(offers) {
             self.settings.color = Default::default();
         }
-        self.renderer.set_scene(sources);
+        match takes_over {
+            true => self.renderer.replace_scene(sources),
+            false => self.renderer.set_scene(sources),
+        }
+        self.takes_over = takes_over;
+        self.is_new_scene = true;
         self.control.set_bounds(&self.renderer.bounds());
         self.zoom_anchor = None;
         self.refused = None;
@@ -331,8 +376,13 @@ impl Viewer {
                 self.asked_part = Some(self.files[index].store.metadata().bounds());
             }
             Some(FileAction::Close(index)) => {
-                self.files.remove(index);
-                self.take_scene();
+                let closed = self.files.remove(index);
+                if closed.kept_in == KeptIn::Preview
+                    && let Some(opening) = &self.opening
+                {
+                    opening.cancel();
+                }
+                self.take_scene(false);
             }
             None => {}
         }
@@ -392,7 +442,11 @@ impl Viewer {
         if self.device_lost.is_some() || self.refused.as_ref() == Some(&request) {
             return;
         }
-        match self.renderer.render(&view, &self.settings) {
+        let mut settings = self.settings.clone();
+        if mem::take(&mut self.takes_over) {
+            settings.loading = Loading::All;
+        }
+        match self.renderer.render(&view, &settings) {
             Ok(stats) if stats.unchanged => {
                 self.frames_skipped += 1;
                 // The GPU's own times come after the frame that they are of.
@@ -407,6 +461,10 @@ impl Viewer {
                 self.bytes_read += stats.bytes_read;
                 self.bytes_uploaded += stats.bytes_uploaded;
                 self.canvas.take(ctx, &self.renderer);
+                if mem::take(&mut self.is_new_scene) {
+                    let has_preview = self.files.iter().any(|f| f.kept_in == KeptIn::Preview);
+                    self.reach(if has_preview { "preview" } else { "scene" });
+                }
                 if !self.drawn.complete {
                     ctx.request_repaint();
                 }
@@ -422,6 +480,17 @@ impl Viewer {
                 self.note(error.to_string(), true);
                 self.refused = Some(request);
             }
+        }
+    }
+
+    /// Notes when something was reached first.
+    fn reach(&mut self, what: &'static str) {
+        if self.milestones.len() < MAX_MILESTONES
+            && let Some(began) = self.options.began
+        {
+            let points = self.files.iter().map(|file| file.store.metadata().points).sum();
+            let seconds = began.elapsed().as_secs_f64();
+            self.milestones.push(Milestone { what, points, seconds });
         }
     }
 

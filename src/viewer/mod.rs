@@ -7,15 +7,17 @@
 mod app;
 mod camera_control;
 mod canvas;
+mod kept;
 mod keys;
 mod opening;
 mod panels;
+mod preview;
 mod statistics;
 mod window;
 
 pub use app::{Viewer, ViewerOptions, first_settings};
 pub use camera_control::{CameraControl, DragKind};
 pub use canvas::Canvas;
-pub use opening::{Advance, KeptIn, Opened, OpenedFile, Opening, Wake};
-pub use statistics::Statistics;
+pub use opening::{Advance, KeptIn, ListFolder, Opened, OpenedFile, Opening, OpeningOptions, Wake};
+pub use statistics::{Milestone, Statistics};
 pub use window::{WindowOptions, run};

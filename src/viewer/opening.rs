@@ -4,12 +4,10 @@
 //! for news each time it is drawn, and is woken when there are some. Dropping the request cancels
 //! it and waits for its end, so that no temporary file stays behind.
 //!
-//! Where the store of a scan goes: beside the scan as `NAME.esker`, so that the next look at it
-//! needs no conversion. A store that is there and was made from this file, after its last change,
-//! is opened instead. Into a temporary folder if another file has that name, if nothing can be
-//! written there, or on demand; it is removed when the scan is closed.
+//! Scans without a store are shown at once as a preview, a store of some points of all of them,
+//! then as finer ones, then as they are. Previews come before the conversion begins, not beside
+//! it: they take a known small part of its time, and the coarse picture is there soonest.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -20,13 +18,31 @@ use crossbeam_channel::{Receiver, Sender};
 use serde::Serialize;
 use tempfile::TempDir;
 
-use crate::build::{self, ConvertOptions, Progress, Stage};
+use crate::build::{ConvertOptions, Progress, Sources, Stage, convert_sources};
 use crate::store::{Store, is_store};
+use crate::viewer::kept::{can_write_beside, is_las, made_from, store_beside};
+use crate::viewer::preview::{FIRST_PREVIEW_POINTS, make_preview, preview_sizes};
 
 /// Called from the opening thread when there is news.
 pub type Wake = Arc<dyn Fn() + Send + Sync>;
 
-/// A file that is open.
+/// Lists the scans in a folder.
+pub type ListFolder = fn(&Path) -> anyhow::Result<Vec<PathBuf>>;
+
+/// How files are opened.
+#[derive(Clone, Debug, Default)]
+pub struct OpeningOptions {
+    /// Convert scans to temporary stores, never beside them.
+    pub temporary: bool,
+    /// Points of the first preview, 0 for no previews; 250,000 if not told.
+    pub preview_points: Option<u64>,
+    /// Where previews are made; in memory or among temporary files, if not told.
+    pub preview_folder: Option<PathBuf>,
+    /// What makes a folder a list of scans, which become one store; without, folders are refused.
+    pub list_folder: Option<ListFolder>,
+}
+
+/// A file or a folder that is open.
 #[derive(Clone, Debug)]
 pub struct OpenedFile {
     /// What was asked for.
@@ -51,13 +67,17 @@ pub enum KeptIn {
     Made(PathBuf),
     /// In a temporary store.
     Temporary,
+    /// Some of the points, and those of other scans of the request, are in a store without a name.
+    Preview,
 }
 
 /// News of a request.
 #[derive(Debug)]
 pub enum Opened {
-    /// A file is open.
-    File(OpenedFile),
+    /// Files are open. They take the place of a preview.
+    Files(Vec<OpenedFile>),
+    /// A preview of all that is still to come. It takes the place of the one before.
+    Preview(OpenedFile),
     /// Something to tell about a file that is open nevertheless.
     Warning(String),
     /// A file cannot be opened.
@@ -69,8 +89,8 @@ pub enum Opened {
 pub struct Advance {
     /// The scan.
     pub path: PathBuf,
-    /// The part it is at.
-    pub stage: &'static str,
+    /// The part it is at; none while a preview is made.
+    pub stage: Option<&'static str>,
     /// Points of that part that are done.
     pub points_done: u64,
     /// Points of that part.
@@ -88,25 +108,29 @@ pub struct Opening {
 #[derive(Debug, Default)]
 struct Shared {
     cancelled: AtomicBool,
-    converting: Mutex<Option<(PathBuf, Stage, u64)>>,
+    converting: Mutex<Option<Advance>>,
     points_done: AtomicU64,
 }
 
 impl Shared {
-    fn set_converting(&self, state: Option<(PathBuf, Stage, u64)>) {
+    fn set_converting(&self, state: Option<Advance>) {
         self.points_done.store(0, Ordering::Relaxed);
         *self.converting.lock().unwrap_or_else(PoisonError::into_inner) = state;
     }
 }
 
 impl Opening {
-    /// Starts to open files, in order. With `temporary`, nothing is written beside scans.
-    pub fn start(files: Vec<PathBuf>, temporary: bool, wake: Wake) -> std::io::Result<Opening> {
+    /// Starts to open files and folders: those with a store first, then the others, in order.
+    pub fn start(
+        paths: Vec<PathBuf>,
+        options: OpeningOptions,
+        wake: Wake,
+    ) -> std::io::Result<Opening> {
         let (sender, news) = crossbeam_channel::unbounded();
         let shared = Arc::new(Shared::default());
-        let worker = Worker { shared: Arc::clone(&shared), temporary, wake, sender };
+        let worker = Worker { shared: Arc::clone(&shared), options, wake, sender };
         let thread =
-            std::thread::Builder::new().name("open".into()).spawn(move || worker.run(&files))?;
+            std::thread::Builder::new().name("open".into()).spawn(move || worker.run(paths))?;
         Ok(Opening { news, shared, thread: Some(thread) })
     }
 
@@ -123,12 +147,8 @@ impl Opening {
     /// The conversion that is going on.
     pub fn advance(&self) -> Option<Advance> {
         let converting = self.shared.converting.lock().unwrap_or_else(PoisonError::into_inner);
-        converting.as_ref().map(|(path, stage, points_total)| Advance {
-            path: path.clone(),
-            stage: stage.name(),
-            points_done: self.shared.points_done.load(Ordering::Relaxed),
-            points_total: *points_total,
-        })
+        let points_done = self.shared.points_done.load(Ordering::Relaxed);
+        converting.clone().map(|advance| Advance { points_done, ..advance })
     }
 
     /// Ends the work soon; what is open stays open.
@@ -149,25 +169,28 @@ impl Drop for Opening {
 
 struct Worker {
     shared: Arc<Shared>,
-    temporary: bool,
+    options: OpeningOptions,
     wake: Wake,
     sender: Sender<Opened>,
 }
 
+/// Scans that become one store.
+struct Job {
+    path: PathBuf,
+    scans: Vec<PathBuf>,
+}
+
 impl Worker {
-    fn run(&self, files: &[PathBuf]) {
-        for file in files {
-            if self.is_cancelled() {
-                break;
-            }
-            match self.open(file) {
-                Ok(opened) => self.tell(Opened::File(opened)),
-                // Whoever cancelled needs no message.
-                Err(_) if self.is_cancelled() => {}
+    fn run(&self, paths: Vec<PathBuf>) {
+        let mut jobs = Vec::new();
+        for path in paths {
+            match self.find(&path) {
+                Ok(Found::Open(file)) => self.tell(Opened::Files(vec![file])),
+                Ok(Found::Scans(scans)) => jobs.push(Job { path, scans }),
                 Err(error) => self.tell(Opened::Failed(format!("{error:#}"))),
             }
-            self.shared.set_converting(None);
         }
+        self.convert_all(&jobs);
         (self.wake)();
     }
 
@@ -181,88 +204,147 @@ impl Worker {
         (self.wake)();
     }
 
-    fn open(&self, path: &Path) -> anyhow::Result<OpenedFile> {
-        let opened = |store, kept_in, folder: Option<TempDir>| OpenedFile {
-            path: path.to_owned(),
-            store: Arc::new(store),
-            kept_in,
-            _folder: folder.map(Arc::new),
-        };
+    /// Opens a store, or the store that was made of the scans, or finds that there is none.
+    fn find(&self, path: &Path) -> anyhow::Result<Found> {
+        let opened = |store, kept_in| Found::Open(file(path, store, kept_in, None));
         if is_store(path) {
-            return Ok(opened(Store::open(path)?, KeptIn::Itself, None));
+            return Ok(opened(Store::open(path)?, KeptIn::Itself));
         }
-        let beside = store_beside(path);
-        if !self.temporary && beside.exists() {
-            if let Some(store) = made_from(&beside, path) {
-                return Ok(opened(store, KeptIn::Found(beside), None));
-            }
-        } else if !self.temporary && can_write_beside(path) {
-            self.convert(path, &beside)?;
-            return Ok(opened(Store::open(&beside)?, KeptIn::Made(beside), None));
+        let scans = match self.options.list_folder {
+            Some(list) if path.is_dir() => list(path)?,
+            _ => vec![path.to_owned()],
+        };
+        if !self.options.temporary
+            && let Some(beside) = store_beside(path)
+            && let Some(store) = made_from(&beside, &scans)
+        {
+            return Ok(opened(store, KeptIn::Found(beside)));
         }
-        let folder = tempfile::Builder::new()
-            .prefix("esker-view-")
-            .tempdir()
-            .context("cannot make a temporary folder")?;
-        let output = folder.path().join("scan.esker");
-        self.convert(path, &output)?;
-        Ok(opened(Store::open(&output)?, KeptIn::Temporary, Some(folder)))
+        Ok(Found::Scans(scans))
     }
 
-    fn convert(&self, path: &Path, output: &Path) -> anyhow::Result<()> {
-        let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get());
-        let mut options = ConvertOptions {
-            // One core stays with the window.
-            threads: cores.saturating_sub(1).max(1),
-            ..ConvertOptions::default()
+    fn convert_all(&self, jobs: &[Job]) {
+        let [first, more @ ..] = jobs else { return };
+        // Opened once for previews and conversion: that may mean reading all of it.
+        let mut sources = None;
+        if more.is_empty() {
+            match Sources::open(&first.scans, &ConvertOptions::default().read) {
+                Ok(opened) => sources = Some(opened),
+                Err(error) => return self.tell(Opened::Failed(error.to_string())),
+            }
+        }
+        let has_preview = match &sources {
+            Some(sources) => self.show_previews(&first.path, sources),
+            None => {
+                let scans = jobs.iter().flat_map(|job| &job.scans).filter(|scan| is_las(scan));
+                let scans: Vec<_> = scans.cloned().collect();
+                // What is wrong with any of them is told by its conversion.
+                Sources::open(&scans, &ConvertOptions::default().read)
+                    .is_ok_and(|sources| self.show_previews(&first.path, &sources))
+            }
         };
+        let mut converted = Vec::new();
+        for job in jobs {
+            if self.is_cancelled() {
+                return;
+            }
+            match self.convert(job, sources.as_ref()) {
+                Ok(file) if has_preview => converted.push(file),
+                Ok(file) => self.tell(Opened::Files(vec![file])),
+                // Whoever cancelled needs no message.
+                Err(_) if self.is_cancelled() => {}
+                Err(error) => self.tell(Opened::Failed(format!("{error:#}"))),
+            }
+            self.shared.set_converting(None);
+        }
+        if !converted.is_empty() {
+            self.tell(Opened::Files(converted));
+        }
+    }
+
+    /// Shows finer and finer previews; whether there was any.
+    fn show_previews(&self, path: &Path, sources: &Sources) -> bool {
+        let first = self.options.preview_points.unwrap_or(FIRST_PREVIEW_POINTS);
+        let listener = Listener { worker: self, path, is_preview: true };
+        let (folder, cancelled) = (self.options.preview_folder.as_deref(), &self.shared.cancelled);
+        let mut has_preview = false;
+        for points in preview_sizes(sources.expected_points(), first) {
+            // Without a preview there is only longer to wait; what is wrong the conversion tells.
+            match make_preview(sources, points, folder, &listener, cancelled) {
+                Ok((store, folder)) if store.metadata().points > 0 => {
+                    let preview = file(path, store, KeptIn::Preview, folder);
+                    self.tell(Opened::Preview(preview));
+                    has_preview = true;
+                }
+                _ => break,
+            }
+        }
+        self.shared.set_converting(None);
+        has_preview
+    }
+
+    /// Converts scans to a store beside them, or to a temporary one where that is not possible.
+    fn convert(&self, job: &Job, sources: Option<&Sources>) -> anyhow::Result<OpenedFile> {
+        let beside = store_beside(&job.path).filter(|beside| {
+            !self.options.temporary && !beside.exists() && can_write_beside(beside)
+        });
+        let (output, folder) = match &beside {
+            Some(beside) => (beside.clone(), None),
+            None => {
+                let folder = tempfile::Builder::new()
+                    .prefix("esker-view-")
+                    .tempdir()
+                    .context("cannot make a temporary folder")?;
+                (folder.path().join("scan.esker"), Some(folder))
+            }
+        };
+        let mut options = ConvertOptions::default();
         // The points on view need memory as well.
         options.memory_bytes /= 2;
-        let progress = Listener { worker: self, path };
-        let report = build::convert(
-            &[path.to_owned()],
-            output,
-            &options,
-            &progress,
-            &self.shared.cancelled,
-        )?;
+        let progress = Listener { worker: self, path: &job.path, is_preview: false };
+        let opened;
+        let sources = match sources {
+            Some(sources) => sources,
+            None => {
+                opened = Sources::open(&job.scans, &options.read)?;
+                &opened
+            }
+        };
+        let report =
+            convert_sources(sources, &output, &options, &progress, &self.shared.cancelled)?;
         report.warnings.into_iter().for_each(|warning| self.tell(Opened::Warning(warning)));
-        Ok(())
+        let kept_in = beside.map_or(KeptIn::Temporary, KeptIn::Made);
+        Ok(file(&job.path, Store::open(&output)?, kept_in, folder))
     }
+}
+
+/// What there is of a path.
+enum Found {
+    Open(OpenedFile),
+    Scans(Vec<PathBuf>),
+}
+
+fn file(path: &Path, store: Store, kept_in: KeptIn, folder: Option<TempDir>) -> OpenedFile {
+    let (store, _folder) = (Arc::new(store), folder.map(Arc::new));
+    OpenedFile { path: path.to_owned(), store, kept_in, _folder }
 }
 
 struct Listener<'a> {
     worker: &'a Worker,
     path: &'a Path,
+    is_preview: bool,
 }
 
 impl Progress for Listener<'_> {
-    fn begin(&self, stage: Stage, total: u64) {
-        self.worker.shared.set_converting(Some((self.path.to_owned(), stage, total)));
+    fn begin(&self, stage: Stage, points_total: u64) {
+        let stage = (!self.is_preview).then_some(stage.name());
+        let path = self.path.to_owned();
+        let advance = Advance { path, stage, points_done: 0, points_total };
+        self.worker.shared.set_converting(Some(advance));
         (self.worker.wake)();
     }
 
     fn advance(&self, points: u64) {
         self.worker.shared.points_done.fetch_add(points, Ordering::Relaxed);
     }
-}
-
-fn store_beside(scan: &Path) -> PathBuf {
-    scan.with_extension("esker")
-}
-
-/// The store, if it was made from just this scan since its last change.
-fn made_from(store_path: &Path, scan: &Path) -> Option<Store> {
-    let changed = |path: &Path| fs::metadata(path).and_then(|facts| facts.modified()).ok();
-    if changed(store_path)? < changed(scan)? || !is_store(store_path) {
-        return None;
-    }
-    let store = Store::open(store_path).ok()?;
-    let [source] = store.metadata().sources.as_slice() else { return None };
-    (scan.file_name()?.to_str()? == source.name).then_some(store)
-}
-
-fn can_write_beside(scan: &Path) -> bool {
-    let folder = scan.parent().filter(|folder| !folder.as_os_str().is_empty());
-    tempfile::tempfile_in(folder.unwrap_or(Path::new("."))).is_ok()
 }

@@ -196,6 +196,11 @@ pub fn files(ui: &mut Ui, files: &[OpenedFile]) -> Option<FileAction> {
                     ui.label("temporary");
                     ui.end_row();
                 }
+                KeptIn::Preview => {
+                    ui.weak("Store");
+                    ui.label("not yet: some of the points");
+                    ui.end_row();
+                }
                 KeptIn::Found(path) | KeptIn::Made(path) => {
                     ui.weak("Store");
                     let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
@@ -360,9 +365,12 @@ pub fn progress_and_notices(
                     Some(advance) => {
                         let name = advance.path.file_name().unwrap_or_default().to_string_lossy();
                         let share = advance.points_done as f32 / advance.points_total.max(1) as f32;
+                        let what = match advance.stage {
+                            Some(stage) => format!("Converting {name}: {stage}"),
+                            None => format!("A first look at {name}"),
+                        };
                         let text = format!(
-                            "Converting {name}: {}, {} of {}",
-                            advance.stage,
+                            "{what}, {} of {}",
                             short_count(advance.points_done as f64),
                             short_count(advance.points_total as f64)
                         );

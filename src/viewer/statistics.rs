@@ -8,6 +8,17 @@ use serde::Serialize;
 use crate::frame::FrameStats;
 use crate::viewer::opening::KeptIn;
 
+/// Something that was waited for, and when it was there.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Milestone {
+    /// `window` when it was first painted; `preview` or `scene` when these were first drawn.
+    pub what: &'static str,
+    /// Points of the scene.
+    pub points: u64,
+    /// Time since the program began.
+    pub seconds: f64,
+}
+
 /// A snapshot of the window's counters.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Statistics {
@@ -53,6 +64,8 @@ pub struct Statistics {
     pub node_limit_bytes: u64,
     /// Whether a file is being opened or converted.
     pub is_opening: bool,
+    /// The first things that happened, in order.
+    pub milestones: Vec<Milestone>,
     /// The last frame that was drawn.
     pub frame: FrameStats,
     /// What went wrong so far.

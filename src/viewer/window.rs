@@ -5,7 +5,7 @@
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
@@ -16,6 +16,7 @@ use crate::frame::{RasterPath, Renderer};
 use crate::gpu::{Gpu, adapter_preference, wanted_features, wanted_limits};
 use crate::viewer::app::{Viewer, ViewerOptions};
 use crate::viewer::canvas::Canvas;
+use crate::viewer::opening::Opening;
 
 /// What `esker view` asks for.
 #[derive(Clone, Debug, Default)]
@@ -42,9 +43,26 @@ pub struct WindowOptions {
 const SOFTWARE_POINT_BUDGET: u64 = 2_000_000;
 
 /// Shows the window until it is closed. `interrupted` is what a signal sets; it closes the window.
-pub fn run(options: WindowOptions, interrupted: Arc<AtomicBool>) -> anyhow::Result<()> {
+pub fn run(mut options: WindowOptions, interrupted: Arc<AtomicBool>) -> anyhow::Result<()> {
     let outcome = Arc::new(Mutex::new(None));
     let (width, height) = options.size;
+    // Files are opened while the window and its device come up.
+    let files = std::mem::take(&mut options.files);
+    let painter: Arc<OnceLock<egui::Context>> = Arc::default();
+    let opening = match files.is_empty() {
+        true => None,
+        false => {
+            let painter = Arc::clone(&painter);
+            let wake = Arc::new(move || {
+                // Before there is a window it needs no waking: it asks when it is there.
+                if let Some(ctx) = painter.get() {
+                    ctx.request_repaint();
+                }
+            });
+            let opening = Opening::start(files, options.viewer.opening.clone(), wake);
+            Some(opening.context("cannot start a thread")?)
+        }
+    };
     let native = eframe::NativeOptions {
         viewport: ViewportBuilder::default()
             .with_inner_size([width as f32, height as f32])
@@ -60,7 +78,15 @@ pub fn run(options: WindowOptions, interrupted: Arc<AtomicBool>) -> anyhow::Resu
     let ended = eframe::run_native(
         "Esker",
         native,
-        Box::new(move |created| Ok(Box::new(Window::new(created, options, told, interrupted)?))),
+        Box::new(move |created| {
+            let mut window = Window::new(created, options, told, interrupted)?;
+            // The context is set once, here.
+            let _ = painter.set(created.egui_ctx.clone());
+            if let Some(opening) = opening {
+                window.viewer.follow(opening);
+            }
+            Ok(Box::new(window))
+        }),
     );
     if let Some(error) = take(&outcome) {
         return Err(error);
@@ -170,7 +196,6 @@ impl Window {
         let (renderer, problems) = open_renderer(&gpu, options.path, limit_bytes)?;
         let mut viewer = Viewer::new(renderer, Canvas::of_window(state), options.viewer);
         problems.into_iter().for_each(|problem| viewer.note(problem, true));
-        viewer.open(&created.egui_ctx, options.files);
         wake_on_interrupt(created.egui_ctx.clone(), Arc::clone(&interrupted));
         Ok(Window {
             viewer,

@@ -127,19 +127,46 @@ impl LayerHeader {
             return Err(fault("ends before its layers start".to_string()));
         }
         let head = file.read_range(start..layers_start)?;
-        let mut words = head
+        let words = head
             .chunks_exact(4)
             .map(|word| u64::from(u32::from_le_bytes(word.try_into().expect("chunks of 4 bytes"))));
-        let points = words.next().expect("the count stands before the layers");
-        let end = layers_start + words.sum::<u64>();
+        let words: Vec<u64> = words.collect();
+        let (points, layers) = words.split_first().expect("the count stands before the layers");
+        let points = *points;
+        let end = layers_start + layers.iter().sum::<u64>();
         if end > block.bytes.end {
             return Err(fault(format!("its layers end at byte {end}")));
         }
         if points == 0 {
             return Err(fault("says that it holds no point".to_string()));
         }
+        if layers.len() > GPS_TIME_LAYER {
+            let start = layers_start + layers[..GPS_TIME_LAYER].iter().sum::<u64>();
+            let range = start..start + layers[GPS_TIME_LAYER];
+            if has_erased_run(&file.read_range(range)?) {
+                return Err(fault("its GPS times are overwritten with 0xff".to_string()));
+            }
+        }
         Ok(LayerHeader { points, end })
     }
+}
+
+/// Which of the layers holds the GPS times.
+const GPS_TIME_LAYER: usize = 8;
+
+/// Most bytes of 0xff in a row that GPS times may have. The decoder of `laz` calls itself for each
+/// symbol that only switches to another sequence of times, and that symbol is the one that 0xff
+/// stands for. Whole files never have two of them in a row; 7 such bytes are some 16,000 calls,
+/// each further one 45,000 more, and the stack would end the process.
+const MOST_ERASED_BYTES: usize = 7;
+
+/// Whether bytes hold a longer run of 0xff. Coded numbers look random, so undamaged ones do not.
+fn has_erased_run(bytes: &[u8]) -> bool {
+    let mut run = 0;
+    bytes.iter().any(|&byte| {
+        run = if byte == 0xff { run + 1 } else { 0 };
+        run > MOST_ERASED_BYTES
+    })
 }
 
 type Decompressor<'a> = Box<dyn RecordDecompressor<ChunkReader<'a>> + 'a>;

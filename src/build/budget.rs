@@ -2,6 +2,7 @@
 
 use crate::build::BuildError;
 use crate::build::options::ConvertOptions;
+use crate::build::sources::{Source, Sources};
 use crate::points::Schema;
 
 /// Bytes that the parts of a conversion may take.
@@ -79,6 +80,19 @@ impl Budget {
             node_bytes,
             most_chunk_points: chunk_points,
         })
+    }
+
+    /// Least bytes of the store, and bytes of temporary files, for sources whose counts are
+    /// certain. A store has rarely less than an eighth of its records' bytes.
+    pub fn least_disk(&self, sources: &Sources) -> (u64, u64) {
+        let certain = |source: &&Source| source.scan.points_exact();
+        let points: u64 = sources.scans().iter().filter(certain).map(|s| s.scan.points()).sum();
+        let records = points.saturating_mul(u64::from(sources.schema().record_bytes));
+        // What was decompressed waits on disk while it is sorted into chunks.
+        let copies = if sources.are_compressed() { 2 } else { 1 };
+        let spilled = records.saturating_sub(self.slab_bytes) * copies;
+        let staged = (records / 8).saturating_sub(self.node_bytes);
+        (records / 8, spilled + staged)
     }
 
     /// Rows of that length on a page, as the power of two.

@@ -7,6 +7,7 @@ use crate::build::BuildError;
 use crate::build::budget::Budget;
 use crate::build::checkpoint::{self, Checkpoints, State};
 use crate::build::encode::Encoding;
+use crate::build::machine::free_disk;
 use crate::build::node::TreeRules;
 use crate::build::options::{ConvertOptions, DEPTH_RANGE};
 use crate::build::pages::{PageStore, Slab};
@@ -16,13 +17,15 @@ use crate::build::sources::Sources;
 use crate::build::steps::{Built, Steps};
 use crate::build::work::Work;
 use crate::geometry::MortonKey;
-use crate::store::{Metadata, StoreWriter, ValueRange, remove_dead_part, sections_for};
+use crate::store::{Metadata, SourceInfo, StoreWriter, ValueRange, remove_dead_part, sections_for};
 
 /// What a conversion did.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct ConvertReport {
-    /// Points of the input, all of them in the store.
+    /// Points in the store.
     pub points: u64,
+    /// Points of the input that are not, each with a reason in `sources`.
+    pub dropped_points: u64,
     /// Nodes of the octree.
     pub nodes: u64,
     /// Points in nodes beyond one per finest cell.
@@ -37,6 +40,8 @@ pub struct ConvertReport {
     pub resumed: bool,
     /// The parts of the work in order, with their times.
     pub stages: Vec<StageTime>,
+    /// Per source how many points came in, and what became of them.
+    pub sources: Vec<SourceInfo>,
     /// What headers said and points did not bear out, each with its file.
     pub warnings: Vec<String>,
 }
@@ -122,6 +127,9 @@ impl Conversion<'_> {
         let resumed: Option<State> = work.state(&job)?;
         let mut budget = Budget::new(self.options, schema, sources.expected_points())?;
         budget.page_bytes = resumed.as_ref().map_or(budget.page_bytes, |state| state.page_bytes);
+        if resumed.is_none() {
+            self.check_disk(&sources, &budget)?;
+        }
         let mut slab = Slab::reserve(budget.slab_bytes);
         let pages_end = resumed.as_ref().map_or(0, |state| state.pages_end);
         let pages = PageStore::new(work, budget.page_bytes, &mut slab, pages_end);
@@ -205,6 +213,7 @@ impl Conversion<'_> {
             .collect();
         Ok(ConvertReport {
             points: survey.points,
+            dropped_points: metadata.dropped_points,
             nodes,
             overflow_points: built.overflow_points,
             output_bytes,
@@ -212,8 +221,29 @@ impl Conversion<'_> {
             in_memory: pages.written_bytes() == 0,
             resumed: is_resumed,
             stages: clock.finish(),
+            sources: metadata.sources,
             warnings,
         })
+    }
+
+    /// Refuses what the disks cannot hold for certain: better now than after an hour.
+    fn check_disk(&self, sources: &Sources, budget: &Budget) -> Result<(), BuildError> {
+        let (least_output, temporary) = budget.least_disk(sources);
+        let temp_dir = self.temp_dir();
+        let output_dir = self.output.parent().filter(|folder| !folder.as_os_str().is_empty());
+        let output_dir = output_dir.unwrap_or(Path::new("."));
+        let check = |folder: &Path, needed: u64| match free_disk(folder) {
+            Some(free) if free < needed => {
+                Err(BuildError::DiskRoom { needed, free, path: folder.into() })
+            }
+            _ => Ok(()),
+        };
+        // Mostly the same disk; two folders of it must not be counted as two disks.
+        if free_disk(&temp_dir) == free_disk(output_dir) {
+            return check(output_dir, least_output + temporary);
+        }
+        check(output_dir, least_output)?;
+        check(&temp_dir, temporary)
     }
 
     fn work(&self) -> Work {

@@ -45,6 +45,19 @@ pub enum BuildError {
         /// The least that works for these points.
         needed: u64,
     },
+    /// The disk cannot hold what the conversion will write.
+    #[error(
+        "{path}: about {needed} bytes are needed on this disk, {free} are free",
+        path = path.display()
+    )]
+    DiskRoom {
+        /// The least that it takes.
+        needed: u64,
+        /// What is there.
+        free: u64,
+        /// The folder of the output or of temporary files.
+        path: PathBuf,
+    },
     /// The output exists and may not be replaced.
     #[error("{path}: exists already (--overwrite replaces it)", path = path.display())]
     Exists {

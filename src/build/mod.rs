@@ -15,6 +15,7 @@ mod encode;
 mod error;
 mod home;
 mod in_order;
+mod machine;
 mod node;
 mod options;
 mod pages;
@@ -31,8 +32,9 @@ mod work;
 
 pub use convert::{ConvertReport, convert, convert_sources};
 pub use error::BuildError;
+pub use machine::available_memory;
 pub use node::Representative;
-pub use options::{ConvertOptions, DEPTH_RANGE, available_memory};
+pub use options::{ConvertOptions, DEPTH_RANGE};
 pub use progress::{Progress, Silent, Stage, StageTime};
 pub use sources::{Source, Sources};
 pub use work::BeforeWrite;

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use crate::build::Representative;
+use crate::build::machine::available_memory;
 use crate::build::work::BeforeWrite;
 use crate::input::ReadOptions;
 
@@ -72,16 +73,3 @@ impl Default for ConvertOptions {
 
 /// Levels within a node that conversion accepts.
 pub const DEPTH_RANGE: std::ops::RangeInclusive<u32> = 2..=8;
-
-/// Memory of the machine or of the control group that this process is in, whichever is less.
-/// 4 GiB where neither can be read.
-pub fn available_memory() -> u64 {
-    let machine = std::fs::read_to_string("/proc/meminfo").ok().and_then(|text| {
-        let line = text.lines().find(|line| line.starts_with("MemTotal:"))?;
-        line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib << 10)
-    });
-    let group = ["/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"]
-        .into_iter()
-        .find_map(|path| std::fs::read_to_string(path).ok()?.trim().parse::<u64>().ok());
-    machine.into_iter().chain(group).min().unwrap_or(4 << 30)
-}

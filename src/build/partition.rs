@@ -78,8 +78,8 @@ pub struct Partition<'a, 'p, K> {
 
 /// One worker's open pages.
 pub struct OpenPages<'p> {
-    /// Per chunk its page and the bytes of it that hold rows.
-    pages: Vec<(Option<PageBuffer<'p>>, usize)>,
+    /// Per chunk its page, the bytes of it that hold rows, and how many cells it shares.
+    pages: Vec<(Option<PageBuffer<'p>>, usize, u32)>,
     smallest: Vec<BinaryHeap<u64>>,
 }
 
@@ -110,10 +110,10 @@ impl<'a, 'p, K: MortonKey> Partition<'a, 'p, K> {
     /// Memory of a worker.
     pub fn open(&self) -> OpenPages<'p> {
         let chunks = self.chunks.len();
-        OpenPages {
-            pages: (0..chunks).map(|_| (None, self.page_bytes)).collect(),
-            smallest: vec![BinaryHeap::new(); chunks],
-        }
+        let shared = |chunk: &Chunk<K>| chunk.level - self.shape.levels;
+        let page = |chunk| (None, self.page_bytes, shared(chunk));
+        let pages = self.plan.chunks().iter().map(page).collect();
+        OpenPages { pages, smallest: vec![BinaryHeap::new(); chunks] }
     }
 
     /// Puts whole records into their chunks; the first has that input index. `origin` is what to
@@ -162,16 +162,15 @@ impl<'a, 'p, K: MortonKey> Partition<'a, 'p, K> {
     ) -> Result<(), BuildError> {
         let chunk = self.plan.chunk_of(key);
         let stride = self.shape.layout.stride();
-        let (page, used) = &mut open.pages[chunk];
+        let (page, used, shared) = &mut open.pages[chunk];
         if *used + stride > self.page_bytes {
             self.next_page(chunk, page, used)?;
         }
         let page = page.as_mut().expect("a page was begun");
         self.shape.layout.write(&mut page.room()[*used..*used + stride], key, index, attributes);
         *used += stride;
-        let shared = self.plan.chunks()[chunk].level - self.shape.levels;
-        if shared > 0 {
-            keep_smallest(&mut open.smallest[chunk], index, shared as usize);
+        if *shared > 0 {
+            keep_smallest(&mut open.smallest[chunk], index, *shared as usize);
         }
         Ok(())
     }
@@ -202,13 +201,14 @@ impl<'a, 'p, K: MortonKey> Partition<'a, 'p, K> {
 
     /// Puts a worker's last pages away.
     pub fn close(&self, open: OpenPages<'p>) -> Result<(), BuildError> {
-        for (i, ((page, used), smallest)) in open.pages.into_iter().zip(open.smallest).enumerate() {
+        for (i, ((page, used, shared), smallest)) in
+            open.pages.into_iter().zip(open.smallest).enumerate()
+        {
             let Some(mut page) = page else { continue };
             let points = (used / self.shape.layout.stride()) as u64;
             page.set_used(used);
             let page = self.pages.keep_last(page)?;
             let mut rows = self.chunks[i].lock().expect("no holder of the lock panics");
-            let shared = self.plan.chunks()[i].level - self.shape.levels;
             smallest
                 .into_iter()
                 .for_each(|index| keep_smallest(&mut rows.smallest, index, shared as usize));

@@ -8,12 +8,13 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 
-use crate::build::{self, ConvertOptions, DEPTH_RANGE, Representative};
+use crate::build::{self, ConvertOptions, ConvertReport, DEPTH_RANGE, Representative};
 use crate::commands::inputs;
 use crate::commands::progress::{ProgressKind, listener};
 use crate::commands::quantities::{parse_bytes, show_bytes};
 use crate::input::{ColumnList, ReadOptions};
 use crate::metrics::peak_rss_bytes;
+use crate::store::SourceInfo;
 
 /// Arguments of `esker convert`.
 #[derive(Debug, Args)]
@@ -91,6 +92,9 @@ pub fn run(args: ConvertArgs) -> anyhow::Result<ExitCode> {
     drop(progress);
     for warning in &report.warnings {
         eprintln!("esker: {warning}");
+    }
+    if report.resumed {
+        eprintln!("esker: went on from where an earlier run was stopped");
     }
     let seconds = began.elapsed().as_secs_f64();
     let peak = peak_rss_bytes();

@@ -8,7 +8,7 @@ use crate::input::{Block, BlockBuffer, ForeignFault, RecordSink, Scan, ScanError
 /// An input file and what its records need to become those of the store.
 #[derive(Debug)]
 pub struct Source {
-    pub(super) scan: Scan,
+    pub(in crate::build) scan: Scan,
     /// Nothing where records are the store's as they are.
     pub(super) adapter: Option<Adapter>,
     /// Place of its first scan among the store's sources.

@@ -122,8 +122,39 @@ pub fn run(args: ConvertArgs) -> anyhow::Result<ExitCode> {
             report.points as f64 / seconds / 1e6,
             peak.map_or(String::new(), |peak| format!(", at most {} of memory", show_bytes(peak))),
         );
+        print_account(&report);
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Sources that are told one by one.
+const MOST_SOURCES_TOLD: usize = 20;
+
+/// Where the points of each source went, if that is not obvious.
+fn print_account(report: &ConvertReport) {
+    let is_obvious = |source: &&SourceInfo| {
+        report.sources.len() == 1 && source.dropped.is_empty() && source.skipped.is_empty()
+    };
+    let told = report.sources.iter().filter(|source| !is_obvious(source));
+    for source in told.clone().take(MOST_SOURCES_TOLD) {
+        let scan = source.scan.as_ref().map_or(String::new(), |scan| format!(" ({scan})"));
+        let kept = source.points - source.dropped_points().min(source.points);
+        print!(
+            "  {}{scan}: {} points came in, {kept} are in the store",
+            source.name, source.points
+        );
+        for dropped in &source.dropped {
+            print!(", {} dropped: {}", dropped.points, dropped.reason);
+        }
+        for skipped in &source.skipped {
+            print!("; left out: {} {}", skipped.count, skipped.what);
+        }
+        println!();
+    }
+    let rest = told.skip(MOST_SOURCES_TOLD).count();
+    if rest > 0 {
+        println!("  and {rest} more sources (esker info tells all)");
+    }
 }
 
 /// Checks a list of columns before any file is opened.

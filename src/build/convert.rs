@@ -81,7 +81,7 @@ fn convert_with(
     run: impl FnOnce(Conversion<'_>) -> Result<ConvertReport, BuildError> + Send,
 ) -> Result<ConvertReport, BuildError> {
     assert!(
-        DEPTH_RANGE.contains(&options.depth),
+        options.depth == 0 || DEPTH_RANGE.contains(&options.depth),
         "depth {} is not in {DEPTH_RANGE:?}",
         options.depth
     );
@@ -146,7 +146,8 @@ impl Conversion<'_> {
         let is_resumed = resumed.is_some();
         clock.begin(Stage::Read, sources.expected_points());
         let mut surveyed = steps.survey(resumed)?;
-        let root_bits = surveyed.survey.root_bits(self.options.depth);
+        let depth = self.options.depth_for(schema);
+        let root_bits = surveyed.survey.root_bits(depth);
         if root_bits > u128::MAX_BITS {
             let path = sources.scans().last().expect("there is a file").path().to_path_buf();
             return Err(BuildError::TooWide { steps: 1 << (root_bits - 1), path });
@@ -156,7 +157,7 @@ impl Conversion<'_> {
         let sections = sections_for(schema, color_bits);
         let rules = TreeRules {
             root_bits,
-            levels: self.options.depth,
+            levels: depth,
             threshold: self.options.threshold.max(1) as usize,
             representative: self.options.representative,
             encoding: Encoding { schema, sections: &sections, color_bits },
@@ -185,7 +186,7 @@ impl Conversion<'_> {
             offset: lattice.offset.to_array(),
             root_min: if has_points { survey.min } else { [0; 3] },
             root_bits,
-            depth: self.options.depth,
+            depth,
             threshold: self.options.threshold.max(1),
             overflow_points: built.overflow_points,
             bounds_min: if has_points { survey.min } else { [0; 3] },

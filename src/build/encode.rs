@@ -188,26 +188,28 @@ fn value_ranges(attribute: &Attribute, column: &[u8]) -> Vec<ValueRange> {
         widen: impl Fn(T) -> f64,
     ) -> Vec<ValueRange> {
         let value = |bytes: &[u8]| read(bytes.try_into().expect("the slice has N bytes"));
-        let range = |component: usize| {
-            let Some(first) = column.get(component * N..(component + 1) * N) else {
-                return EMPTY_RANGE;
-            };
-            let (mut min, mut max) = (value(first), value(first));
-            if components == 1 {
-                for bytes in column.chunks_exact(N) {
-                    min = min.min(value(bytes));
-                    max = max.max(value(bytes));
-                }
-            } else {
-                for element in column.chunks_exact(N * components) {
-                    let value = value(&element[component * N..(component + 1) * N]);
-                    min = min.min(value);
-                    max = max.max(value);
-                }
-            }
-            ValueRange { min: widen(min), max: widen(max) }
+        let Some(first) = column.get(..components * N) else {
+            return vec![EMPTY_RANGE; components];
         };
-        (0..components).map(range).collect()
+        if components == 1 {
+            let (mut min, mut max) = (value(first), value(first));
+            for bytes in column.chunks_exact(N) {
+                min = min.min(value(bytes));
+                max = max.max(value(bytes));
+            }
+            return vec![ValueRange { min: widen(min), max: widen(max) }];
+        }
+        // Element by element: there may be thousands of components.
+        let mut extremes: Vec<(T, T)> =
+            first.chunks_exact(N).map(|bytes| (value(bytes), value(bytes))).collect();
+        for element in column.chunks_exact(N * components) {
+            for ((min, max), bytes) in extremes.iter_mut().zip(element.chunks_exact(N)) {
+                *min = (*min).min(value(bytes));
+                *max = (*max).max(value(bytes));
+            }
+        }
+        let range = |(min, max)| ValueRange { min: widen(min), max: widen(max) };
+        extremes.into_iter().map(range).collect()
     }
     fn floats<const N: usize>(
         column: &[u8],

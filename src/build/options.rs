@@ -8,6 +8,7 @@ use crate::build::Representative;
 use crate::build::machine::available_memory;
 use crate::build::work::BeforeWrite;
 use crate::input::ReadOptions;
+use crate::points::Schema;
 
 /// Settings of a conversion.
 #[derive(Clone)]
@@ -22,7 +23,8 @@ pub struct ConvertOptions {
     /// Replace an existing output.
     pub overwrite: bool,
     /// Levels within a node beyond its coarsest, 2..=8 (the paper's D). Fewer make more, smaller
-    /// nodes. Default 7.
+    /// nodes. 0, the default, takes 7, and less where records are so long that nodes would become
+    /// too large to be read one by one.
     pub depth: u32,
     /// Fewest points that make a child, at least 1. Fewer make more nodes; more leave more points
     /// without a level of their own. Default 1000.
@@ -61,12 +63,25 @@ impl Default for ConvertOptions {
             threads: 0,
             temp_dir: None,
             overwrite: false,
-            depth: 7,
+            depth: 0,
             threshold: 1000,
             representative: Representative::Color,
             read: ReadOptions::default(),
             checkpoint_every: Duration::from_secs(30),
             before_write: None,
+        }
+    }
+}
+
+impl ConvertOptions {
+    /// The levels of nodes for records of a schema.
+    pub fn depth_for(&self, schema: &Schema) -> u32 {
+        match (self.depth, schema.record_bytes) {
+            (0, ..=128) => 7,
+            (0, ..=512) => 6,
+            (0, ..=2048) => 5,
+            (0, _) => 4,
+            (depth, _) => depth,
         }
     }
 }

@@ -37,10 +37,10 @@ pub struct ConvertArgs {
     /// Replace an existing store
     #[arg(long)]
     overwrite: bool,
-    /// Levels within a node beyond its coarsest
-    #[arg(long, default_value_t = 7, value_parser = clap::value_parser!(u32)
+    /// Levels within a node beyond its coarsest [default: 7, fewer for long records]
+    #[arg(long, value_parser = clap::value_parser!(u32)
         .range(*DEPTH_RANGE.start() as i64..=*DEPTH_RANGE.end() as i64))]
-    depth: u32,
+    depth: Option<u32>,
     /// Fewest points that make a child node
     #[arg(long, default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..))]
     threshold: u32,
@@ -76,7 +76,7 @@ pub fn run(args: ConvertArgs) -> anyhow::Result<ExitCode> {
         threads: args.threads,
         temp_dir: args.temp_dir,
         overwrite: args.overwrite,
-        depth: args.depth,
+        depth: args.depth.unwrap_or(0),
         threshold: args.threshold,
         representative: args.representative,
         checkpoint_every: Duration::from_secs_f64(args.checkpoint_seconds),

@@ -157,19 +157,27 @@ fn fill_planes<const N: usize>(
     if count == 0 {
         return;
     }
-    for (component, planes) in planes.chunks_exact_mut(count * N).enumerate() {
-        let mut columns: [&mut [u8]; N] = split_planes(planes, count);
-        let mut previous = 0;
-        for (i, element) in raw.chunks_exact(stride).enumerate() {
-            let value = load::<N>(&element[component * N..]);
-            let coded = code(value, previous);
-            previous = value;
-            for (plane, byte) in columns.iter_mut().zip(coded.to_le_bytes()) {
-                plane[i] = byte;
+    // As many elements at a time as stay in the cache: there may be thousands of components.
+    let tile = (TILE_BYTES / stride).clamp(1, count);
+    let mut previous = vec![0; shape.components as usize];
+    for (first, elements) in (0..count).step_by(tile).zip(raw.chunks(tile * stride)) {
+        let planes = planes.chunks_exact_mut(count * N).zip(&mut previous);
+        for (component, (planes, previous)) in planes.enumerate() {
+            let mut columns: [&mut [u8]; N] = split_planes(planes, count);
+            for (i, element) in (first..).zip(elements.chunks_exact(stride)) {
+                let value = load::<N>(&element[component * N..]);
+                let coded = code(value, *previous);
+                *previous = value;
+                for (plane, byte) in columns.iter_mut().zip(coded.to_le_bytes()) {
+                    plane[i] = byte;
+                }
             }
         }
     }
 }
+
+/// Bytes of elements that are taken apart together.
+const TILE_BYTES: usize = 1 << 15;
 
 fn from_planes<const N: usize>(shape: ElementShape, planes: &[u8], raw: &mut [u8]) {
     let stride = shape.bytes();

@@ -356,11 +356,11 @@ mod tests {
         assert_eq!(text[cut - 1], b'\n');
         let mut parts = Parts::new(TextKind::Ptx, None);
         assert!(parts.end_fault().is_some_and(|fault| fault.contains("no scan")));
-        let before = parts.split(&text[..cut], &[0..cut]);
+        let before = parts.split(&text[..cut], std::slice::from_ref(&(0..cut)));
         assert!(before.iter().all(|stretch| *stretch == Stretch::Passed(1)), "{before:?}");
         assert!(parts.end_fault().is_some_and(|fault| fault.contains("head of scan 1")));
         let rest = &text[cut..];
-        let after = parts.split(rest, &[0..rest.len()]);
+        let after = parts.split(rest, std::slice::from_ref(&(0..rest.len())));
         let Some(Stretch::Part(head)) =
             after.iter().find(|stretch| matches!(stretch, Stretch::Part(_)))
         else {

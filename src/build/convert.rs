@@ -128,7 +128,7 @@ impl Conversion<'_> {
         let mut budget = Budget::new(self.options, schema, sources.expected_points())?;
         budget.page_bytes = resumed.as_ref().map_or(budget.page_bytes, |state| state.page_bytes);
         if resumed.is_none() {
-            self.check_disk(&sources, &budget)?;
+            self.check_disk(sources, &budget)?;
         }
         let mut slab = Slab::reserve(budget.slab_bytes);
         let pages_end = resumed.as_ref().map_or(0, |state| state.pages_end);

@@ -42,7 +42,11 @@ fn position(i: usize) -> [i32; 3] {
         ((x >> 40) % n) as i32
     };
     // Some crowd in one place, so that chunks share cells.
-    if i % 3 == 0 { [next(9), next(9), next(9)] } else { [next(4000), next(4000), next(300)] }
+    if i.is_multiple_of(3) {
+        [next(9), next(9), next(9)]
+    } else {
+        [next(4000), next(4000), next(300)]
+    }
 }
 
 /// Inputs that are read twice (LAS) or kept as they were decoded (text).

@@ -18,7 +18,7 @@ pub enum TextKind {
 /// Bytes of a file that its kind is told from, and within which its rows must begin.
 pub const HEAD_BYTES: usize = 256 << 10;
 
-/// What a file is if it is a text of points, from its first bytes; the more of [`HEAD_BYTES`] are
+/// What a file is if it is a text of points, from its first bytes; the more of `HEAD_BYTES` are
 /// given, the longer may comments before the points be.
 ///
 /// Texts that are refused with a reason, such as numbers with a decimal comma, count too.

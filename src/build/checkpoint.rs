@@ -130,14 +130,12 @@ pub struct Checkpoints<'a> {
     every: Duration,
     last: Instant,
     page_bytes: usize,
-    /// Whether one was made, so that there is something to go on from.
-    pub made: bool,
 }
 
 impl<'a> Checkpoints<'a> {
     /// For a job in its work folder.
     pub fn new(work: &'a Work, job: String, every: Duration, page_bytes: usize) -> Self {
-        Checkpoints { work, job, every, last: Instant::now(), page_bytes, made: false }
+        Checkpoints { work, job, every, last: Instant::now(), page_bytes }
     }
 
     /// When the next one is due.
@@ -166,7 +164,6 @@ impl<'a> Checkpoints<'a> {
         };
         self.work.save_state(&self.job, &state)?;
         self.last = Instant::now();
-        self.made = true;
         Ok(())
     }
 }

@@ -13,7 +13,7 @@ use crate::build::home::{BEYOND, Homes, Waiting};
 use crate::build::node::{NodeBuilder, SortedPoints, TreeRules};
 use crate::build::plan::Chunk;
 use crate::build::rows::RowTable;
-use crate::build::sort::{Item, SortScratch, sort_by_key};
+use crate::build::sort::{Item, SortScratch, sort_rows};
 use crate::geometry::MortonKey;
 
 /// Points of a chunk that belong to a node reaching beyond the chunk, or to one of its dissolved
@@ -75,24 +75,10 @@ pub fn build_chunk<K: MortonKey>(
     scratch: &mut ChunkScratch<K>,
     sink: &mut ChunkSink<K>,
 ) -> Result<(), BuildError> {
-    sort_rows(rows, scratch);
+    sort_rows(rows, &mut scratch.items, &mut scratch.sort);
     let homes = Homes { root_bits: rules.root_bits, levels: rules.levels };
     find_homes(&homes, chunk, rows, taken, scratch);
     sweep(rules, chunk, rows, scratch, sink)
-}
-
-/// Fills `items`: by Morton code, equal codes by input index.
-fn sort_rows<K: MortonKey>(rows: RowTable, scratch: &mut ChunkScratch<K>) {
-    let items = &mut scratch.items;
-    items.clear();
-    items.extend(rows.slots().map(|(slot, row)| Item { key: K::read(row), slot }));
-    sort_by_key(items, &mut scratch.sort);
-    let layout = rows.layout();
-    for equal in items.chunk_by_mut(|a, b| a.key == b.key) {
-        if equal.len() > 1 {
-            equal.sort_unstable_by_key(|item| layout.index(rows.row(item.slot)));
-        }
-    }
 }
 
 /// Fills `homes`, one per item.

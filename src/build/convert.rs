@@ -108,7 +108,7 @@ struct Conversion<'a> {
 
 impl Conversion<'_> {
     fn run(&self, sources: &Sources) -> Result<ConvertReport, BuildError> {
-        let work = Work::new(&self.temp_dir(), self.output, self.options.before_write.clone());
+        let work = self.work();
         let outcome = self.run_in(sources, &work);
         // What a failed run noted down serves the next one only if nothing is wrong with the input.
         let can_go_on = matches!(outcome, Err(BuildError::Interrupted)) && work.has_state();

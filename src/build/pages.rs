@@ -16,8 +16,8 @@ use crate::build::work::Work;
 
 /// Memory for pages: reserved as a whole, touched only as far as it is used.
 ///
-/// Not backed by huge pages: they saved a tenth where memory was warm and cost three times that
-/// where a virtual machine had to get it from its host.
+/// Not backed by huge pages: they saved little where memory was warm and cost far more where a
+/// virtual machine had to get it from its host (`docs/measurements/conversion.md`).
 pub struct Slab(Option<MmapMut>);
 
 impl Slab {

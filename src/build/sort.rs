@@ -1,5 +1,6 @@
 //! Sorting a chunk's points by Morton code: a radix sort over the bits in which they differ.
 
+use crate::build::rows::RowTable;
 use crate::geometry::MortonKey;
 
 /// A point of a chunk: its Morton code and the slot of its row.
@@ -22,8 +23,25 @@ pub struct SortScratch<K> {
     spare: Vec<u64>,
 }
 
+/// Replaces `items` by all rows of a table: by Morton code, equal codes by input index.
+pub fn sort_rows<K: MortonKey>(
+    rows: RowTable,
+    items: &mut Vec<Item<K>>,
+    scratch: &mut SortScratch<K>,
+) {
+    items.clear();
+    items.extend(rows.slots().map(|(slot, row)| Item { key: K::read(row), slot }));
+    sort_by_key(items, scratch);
+    let layout = rows.layout();
+    for equal in items.chunk_by_mut(|a, b| a.key == b.key) {
+        if equal.len() > 1 {
+            equal.sort_unstable_by_key(|item| layout.index(rows.row(item.slot)));
+        }
+    }
+}
+
 /// Sorts by key; points of equal keys keep their order.
-pub fn sort_by_key<K: MortonKey>(items: &mut Vec<Item<K>>, scratch: &mut SortScratch<K>) {
+fn sort_by_key<K: MortonKey>(items: &mut Vec<Item<K>>, scratch: &mut SortScratch<K>) {
     let Some(first) = items.first() else { return };
     let base = first.key;
     if items.len() < 256 {

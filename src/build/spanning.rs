@@ -11,7 +11,7 @@ use crate::build::home::BEYOND;
 use crate::build::node::{NodeBuilder, SortedPoints, TreeRules};
 use crate::build::pages::{DiskPlace, PageStore};
 use crate::build::rows::{RowLayout, RowTable};
-use crate::build::sort::{Item, SortScratch, sort_by_key};
+use crate::build::sort::{Item, SortScratch, sort_rows};
 use crate::geometry::MortonKey;
 
 /// A node whose chunks are not all done.
@@ -165,14 +165,8 @@ impl ReadyNode {
         let stride = layout.stride();
         let pages: Vec<&[u8]> = self.rows.chunks(stride << PAGE_SHIFT).collect();
         let rows = RowTable::new(&pages, PAGE_SHIFT, layout);
-        let mut items: Vec<Item<K>> =
-            rows.slots().map(|(slot, row)| Item { key: K::read(row), slot }).collect();
-        sort_by_key(&mut items, &mut SortScratch::default());
-        for equal in items.chunk_by_mut(|a, b| a.key == b.key) {
-            if equal.len() > 1 {
-                equal.sort_unstable_by_key(|item| layout.index(rows.row(item.slot)));
-            }
-        }
+        let mut items: Vec<Item<K>> = Vec::new();
+        sort_rows(rows, &mut items, &mut SortScratch::default());
         let home = |item: &Item<K>| match self.kept[item.slot as usize] {
             true => self.depth as u8,
             false => self.depth as u8 | BEYOND,

@@ -5,7 +5,7 @@
 //! same inputs and options goes on from the last checkpoint, any other removes it. It is made when
 //! something has to be written and removed at the end. A lock tells a dead run from a live one.
 
-use std::fs::{self, File, OpenOptions, TryLockError};
+use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
@@ -14,7 +14,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use crate::build::BuildError;
-use crate::store::Scratch;
+use crate::store::{Scratch, lock_at_once};
 
 /// Called before every write to disk; its error is the write's. For tests of full and failing
 /// disks.
@@ -37,7 +37,15 @@ impl Work {
     /// [`state`](Self::state) to judge.
     pub fn new(temp_dir: &Path, output: &Path, before_write: Option<BeforeWrite>) -> Self {
         let name = output.file_name().unwrap_or_default().to_string_lossy();
-        let folder = temp_dir.join(format!(".{name}.work"));
+        let parent = output.parent().filter(|folder| !folder.as_os_str().is_empty());
+        let place = if parent.unwrap_or(Path::new(".")) == temp_dir {
+            String::new()
+        } else {
+            // Outputs of one name in several folders may share a folder of temporary files.
+            let whole = std::path::absolute(output).unwrap_or_else(|_| output.into());
+            format!("-{:08x}", crc32c::crc32c(whole.as_os_str().as_encoded_bytes()))
+        };
+        let folder = temp_dir.join(format!(".{name}{place}.work"));
         Work { folder, lock: Mutex::new(None), before_write }
     }
 
@@ -67,12 +75,7 @@ impl Work {
             fs::create_dir_all(&self.folder)?;
             let path = self.folder.join(LOCK);
             let file = OpenOptions::new().create(true).truncate(false).write(true).open(path)?;
-            file.try_lock().map_err(|error| match error {
-                TryLockError::WouldBlock => {
-                    io::Error::new(io::ErrorKind::ResourceBusy, "another conversion is using it")
-                }
-                TryLockError::Error(error) => error,
-            })?;
+            lock_at_once(&file)?;
             *lock = Some(file);
         }
         Ok(())

@@ -22,8 +22,6 @@ pub trait MortonKey: Copy + Ord + Send + Sync + Debug + Hash + Default + 'static
     fn decode(self) -> [u32; 3];
     /// The code of the enclosing cell `levels` levels up.
     fn ancestor(self, levels: u32) -> Self;
-    /// The octant (0..8) of the enclosing cell `levels` levels up, within that cell's parent.
-    fn octant(self, levels: u32) -> usize;
     /// The `count` bits (at most 32) from bit `low` up, for radix sorting.
     fn digit(self, low: u32, count: u32) -> usize;
     /// The lowest `count` bits, as many of them as fit 64.
@@ -51,9 +49,53 @@ pub trait MortonKey: Copy + Ord + Send + Sync + Debug + Hash + Default + 'static
     fn narrow(wide: u128) -> Self;
 }
 
+/// What is done alike to codes of both widths.
+macro_rules! same_for_both_widths {
+    () => {
+        fn ancestor(self, levels: u32) -> Self {
+            self.checked_shr(3 * levels).unwrap_or(0)
+        }
+        fn digit(self, low: u32, count: u32) -> usize {
+            (self >> low) as usize & ((1 << count) - 1)
+        }
+        fn differing_bits(self, other: Self) -> u32 {
+            Self::BITS - (self ^ other).leading_zeros()
+        }
+        fn first_within(self, levels: u32) -> Self {
+            self.checked_shl(3 * levels).unwrap_or(0)
+        }
+        fn next(self) -> Self {
+            self + 1
+        }
+        fn bounds(codes: impl Iterator<Item = Self>) -> [[u32; 3]; 2] {
+            // The bits of one axis, left where they are, compare as the coordinate does.
+            let axes: [Self; 3] = [
+                [u32::MAX >> (32 - Self::MAX_BITS), 0, 0],
+                [0, u32::MAX >> (32 - Self::MAX_BITS), 0],
+                [0, 0, u32::MAX >> (32 - Self::MAX_BITS)],
+            ]
+            .map(Self::encode);
+            let (mut low, mut high, mut any) = ([Self::MAX; 3], [0; 3], false);
+            for code in codes {
+                any = true;
+                for (i, axis) in axes.iter().enumerate() {
+                    low[i] = low[i].min(code & axis);
+                    high[i] = high[i].max(code & axis);
+                }
+            }
+            if !any {
+                return [[u32::MAX; 3], [0; 3]];
+            }
+            [low[0] | low[1] | low[2], high[0] | high[1] | high[2]].map(Self::decode)
+        }
+    };
+}
+
 impl MortonKey for u64 {
     const MAX_BITS: u32 = 21;
     const BYTES: usize = 8;
+
+    same_for_both_widths!();
 
     fn encode(cell: [u32; 3]) -> Self {
         spread(cell[0]) | spread(cell[1]) << 1 | spread(cell[2]) << 2
@@ -61,47 +103,8 @@ impl MortonKey for u64 {
     fn decode(self) -> [u32; 3] {
         [gather(self), gather(self >> 1), gather(self >> 2)]
     }
-    fn ancestor(self, levels: u32) -> Self {
-        self.checked_shr(3 * levels).unwrap_or(0)
-    }
-    fn octant(self, levels: u32) -> usize {
-        (self.ancestor(levels) & 7) as usize
-    }
-    fn digit(self, low: u32, count: u32) -> usize {
-        (self >> low) as usize & ((1 << count) - 1)
-    }
     fn low_bits(self, count: u32) -> u64 {
         self & 1u64.checked_shl(count).map_or(u64::MAX, |bit| bit - 1)
-    }
-    fn differing_bits(self, other: Self) -> u32 {
-        Self::BITS - (self ^ other).leading_zeros()
-    }
-    fn first_within(self, levels: u32) -> Self {
-        self.checked_shl(3 * levels).unwrap_or(0)
-    }
-    fn next(self) -> Self {
-        self + 1
-    }
-    fn bounds(codes: impl Iterator<Item = Self>) -> [[u32; 3]; 2] {
-        // The bits of one axis, left where they are, compare as the coordinate does.
-        let axes: [Self; 3] = [
-            [u32::MAX >> (32 - Self::MAX_BITS), 0, 0],
-            [0, u32::MAX >> (32 - Self::MAX_BITS), 0],
-            [0, 0, u32::MAX >> (32 - Self::MAX_BITS)],
-        ]
-        .map(Self::encode);
-        let (mut low, mut high, mut any) = ([Self::MAX; 3], [0; 3], false);
-        for code in codes {
-            any = true;
-            for (i, axis) in axes.iter().enumerate() {
-                low[i] = low[i].min(code & axis);
-                high[i] = high[i].max(code & axis);
-            }
-        }
-        if !any {
-            return [[u32::MAX; 3], [0; 3]];
-        }
-        [low[0] | low[1] | low[2], high[0] | high[1] | high[2]].map(Self::decode)
     }
     fn write(self, bytes: &mut [u8]) {
         bytes[..8].copy_from_slice(&self.to_le_bytes());
@@ -127,6 +130,8 @@ impl MortonKey for u128 {
     const MAX_BITS: u32 = 32;
     const BYTES: usize = 12;
 
+    same_for_both_widths!();
+
     fn encode(cell: [u32; 3]) -> Self {
         let low = u64::encode(cell.map(|c| c & 0x1f_ffff));
         let high = u64::encode(cell.map(|c| c >> 21));
@@ -137,47 +142,8 @@ impl MortonKey for u128 {
         let high = ((self >> 63) as u64).decode();
         [0, 1, 2].map(|axis| low[axis] | high[axis] << 21)
     }
-    fn ancestor(self, levels: u32) -> Self {
-        self.checked_shr(3 * levels).unwrap_or(0)
-    }
-    fn octant(self, levels: u32) -> usize {
-        (self.ancestor(levels) & 7) as usize
-    }
-    fn digit(self, low: u32, count: u32) -> usize {
-        (self >> low) as usize & ((1 << count) - 1)
-    }
     fn low_bits(self, count: u32) -> u64 {
         self as u64 & 1u64.checked_shl(count).map_or(u64::MAX, |bit| bit - 1)
-    }
-    fn differing_bits(self, other: Self) -> u32 {
-        Self::BITS - (self ^ other).leading_zeros()
-    }
-    fn first_within(self, levels: u32) -> Self {
-        self.checked_shl(3 * levels).unwrap_or(0)
-    }
-    fn next(self) -> Self {
-        self + 1
-    }
-    fn bounds(codes: impl Iterator<Item = Self>) -> [[u32; 3]; 2] {
-        // The bits of one axis, left where they are, compare as the coordinate does.
-        let axes: [Self; 3] = [
-            [u32::MAX >> (32 - Self::MAX_BITS), 0, 0],
-            [0, u32::MAX >> (32 - Self::MAX_BITS), 0],
-            [0, 0, u32::MAX >> (32 - Self::MAX_BITS)],
-        ]
-        .map(Self::encode);
-        let (mut low, mut high, mut any) = ([Self::MAX; 3], [0; 3], false);
-        for code in codes {
-            any = true;
-            for (i, axis) in axes.iter().enumerate() {
-                low[i] = low[i].min(code & axis);
-                high[i] = high[i].max(code & axis);
-            }
-        }
-        if !any {
-            return [[u32::MAX; 3], [0; 3]];
-        }
-        [low[0] | low[1] | low[2], high[0] | high[1] | high[2]].map(Self::decode)
     }
     fn write(self, bytes: &mut [u8]) {
         bytes[..12].copy_from_slice(&self.to_le_bytes()[..12]);

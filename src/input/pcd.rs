@@ -13,9 +13,7 @@ mod lzf;
 use super::detect::{ReadOptions, Signs};
 use super::foreign::{ForeignFault, ForeignReader, ScanPart};
 use super::positioned_file::PositionedFile;
-use super::table::{
-    AsciiEntry, AsciiRows, FixedRows, RowPlan, Rows, TableFacts, TableReader, is_single,
-};
+use super::table::{AsciiEntry, AsciiRows, FixedRows, RowPlan, TableFacts, is_single, open_table};
 use columns::ColumnRows;
 use header::{Encoding, Header};
 
@@ -54,23 +52,15 @@ pub(super) fn open(
                 header.fields.iter().cloned().map(AsciiEntry::Field).collect();
             let plan = RowPlan::new(&AsciiRows::packed_fields(&entries), true)?;
             let at = (start, header.lines + 1);
-            finish(AsciiRows::new(file, at, 0, points, &entries, &plan)?, plan, facts)
+            open_table(AsciiRows::new(file, at, 0, points, &entries, &plan)?, plan, facts)
         }
         Encoding::Binary => {
             let plan = RowPlan::new(&header.fields, true)?;
-            finish(FixedRows::new(file, start, points, plan.row_bytes, None)?, plan, facts)
+            open_table(FixedRows::new(file, start, points, plan.row_bytes, None)?, plan, facts)
         }
         Encoding::Compressed => {
             let plan = RowPlan::new(&header.fields, true)?;
-            finish(ColumnRows::new(&file, start, points, &header.fields)?, plan, facts)
+            open_table(ColumnRows::new(&file, start, points, &header.fields)?, plan, facts)
         }
     }
-}
-
-fn finish(
-    rows: impl Rows + 'static,
-    plan: RowPlan,
-    facts: TableFacts,
-) -> Result<Box<dyn ForeignReader>, ForeignFault> {
-    Ok(Box::new(TableReader::open(rows, plan, facts)?))
 }

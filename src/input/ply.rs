@@ -12,7 +12,7 @@ use super::detect::{ReadOptions, Signs};
 use super::foreign::{ForeignFault, ForeignReader, ScanPart};
 use super::positioned_file::PositionedFile;
 use super::table::{
-    AsciiEntry, AsciiRows, Field, FixedRows, RowPlan, Rows, TableFacts, TableReader, is_single,
+    AsciiEntry, AsciiRows, Field, FixedRows, RowPlan, TableFacts, is_single, open_table,
 };
 use header::{Element, Encoding, Header, Property};
 use listed::ListedRows;
@@ -53,25 +53,17 @@ pub(super) fn open(
         let skipped = before.iter().map(|element| element.count).fold(0, u64::saturating_add);
         let start = (header.bytes, header.lines + 1);
         let rows = AsciiRows::new(file, start, skipped, cloud.count, &entries, &plan)?;
-        return finish(rows, plan, facts);
+        return open_table(rows, plan, facts);
     }
     let start = listed::pass_over(&file, header.bytes, before, swaps)?;
     if cloud.has_lists() {
         let rows = ListedRows::new(file, start, cloud, swaps)?;
-        return finish(rows, plan, facts);
+        return open_table(rows, plan, facts);
     }
     let sizes = cloud.properties.iter().filter_map(field_of).map(|f| f.scalar.bytes() as u8);
     let sizes = swaps.then(|| sizes.collect());
     let rows = FixedRows::new(file, start, cloud.count, plan.row_bytes, sizes)?;
-    finish(rows, plan, facts)
-}
-
-fn finish(
-    rows: impl Rows + 'static,
-    plan: RowPlan,
-    facts: TableFacts,
-) -> Result<Box<dyn ForeignReader>, ForeignFault> {
-    Ok(Box::new(TableReader::open(rows, plan, facts)?))
+    open_table(rows, plan, facts)
 }
 
 fn field_of(property: &Property) -> Option<Field> {

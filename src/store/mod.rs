@@ -25,4 +25,6 @@ pub use metadata::{
 };
 pub use reader::{Store, is_store};
 pub use records::RecordError;
-pub use writer::{AppendixPart, EncodedNode, Scratch, StagedState, StoreWriter, remove_dead_part};
+pub use writer::{
+    AppendixPart, EncodedNode, Scratch, StagedState, StoreWriter, lock_at_once, remove_dead_part,
+};

@@ -369,6 +369,16 @@ fn copy_appendix(parts: &[AppendixPart], out: &mut impl Write) -> io::Result<u32
     Ok(checksum)
 }
 
+/// Locks a file, or says that another process has it.
+pub fn lock_at_once(file: &File) -> io::Result<()> {
+    file.try_lock().map_err(|error| match error {
+        TryLockError::WouldBlock => {
+            io::Error::new(io::ErrorKind::ResourceBusy, "another process is using it")
+        }
+        TryLockError::Error(error) => error,
+    })
+}
+
 /// Removes what a killed run may have left beside a destination.
 pub fn remove_dead_part(destination: &Path) {
     if let Some(path) = part_path(destination) {
@@ -406,12 +416,7 @@ impl PartFile {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
             Err(error) => return Err(error),
         };
-        file.try_lock().map_err(|error| match error {
-            TryLockError::WouldBlock => {
-                io::Error::new(io::ErrorKind::ResourceBusy, "another process is writing it")
-            }
-            TryLockError::Error(error) => error,
-        })?;
+        lock_at_once(&file)?;
         std::fs::remove_file(path)
     }
 

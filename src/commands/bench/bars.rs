@@ -2,6 +2,8 @@
 
 use std::fmt::Write;
 
+use crate::commands::bench::plot::head;
+
 /// One bar.
 #[derive(Clone, Debug)]
 pub struct Bar {
@@ -27,12 +29,7 @@ pub fn svg(heading: &str, unit: &str, bars: &[Bar]) -> String {
     let longest = bars.iter().map(whole).fold(0.0, f64::max);
     let scale = if longest > 0.0 { (WIDTH - LEFT - 80.0) / longest } else { 0.0 };
     let height = 50.0 + ROW_HEIGHT * bars.len() as f64;
-    let mut out = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{WIDTH}\" height=\"{height}\" \
-         viewBox=\"0 0 {WIDTH} {height}\" font-family=\"sans-serif\" font-size=\"12\">\n\
-         <rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n"
-    );
-    text(&mut out, (14.0, 24.0), "start", "font-size=\"16\" font-weight=\"bold\"", heading);
+    let mut out = head(WIDTH, height, heading);
     for (row, bar) in bars.iter().enumerate() {
         let top = 44.0 + ROW_HEIGHT * row as f64;
         let middle = top + 0.5 * BAR_HEIGHT + 4.0;

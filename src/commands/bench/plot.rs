@@ -50,12 +50,7 @@ pub fn svg(heading: &str, panels: &[Panel], columns: usize) -> String {
     let columns = columns.clamp(1, panels.len().max(1));
     let rows = panels.len().div_ceil(columns);
     let (width, height) = (columns as f64 * PANEL.0, rows as f64 * PANEL.1 + 36.0);
-    let mut out = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" \
-         viewBox=\"0 0 {width} {height}\" font-family=\"sans-serif\" font-size=\"12\">\n\
-         <rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n"
-    );
-    text(&mut out, (14.0, 24.0), "start", "font-size=\"16\" font-weight=\"bold\"", heading);
+    let mut out = head(width, height, heading);
     for (i, panel) in panels.iter().enumerate() {
         let (x, y) = ((i % columns) as f64 * PANEL.0, (i / columns) as f64 * PANEL.1 + 36.0);
         line(&mut out, format_args!("<g transform=\"translate({x} {y})\">"));
@@ -63,6 +58,17 @@ pub fn svg(heading: &str, panels: &[Panel], columns: usize) -> String {
         line(&mut out, format_args!("</g>"));
     }
     out.push_str("</svg>\n");
+    out
+}
+
+/// The start of a picture: its size, a white ground, the heading.
+pub(super) fn head(width: f64, height: f64, heading: &str) -> String {
+    let mut out = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" \
+         viewBox=\"0 0 {width} {height}\" font-family=\"sans-serif\" font-size=\"12\">\n\
+         <rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n"
+    );
+    text(&mut out, (14.0, 24.0), "start", "font-size=\"16\" font-weight=\"bold\"", heading);
     out
 }
 

@@ -12,4 +12,4 @@ mod reader;
 pub(super) use ascii::{AsciiRows, Entry as AsciiEntry};
 pub(super) use fixed::FixedRows;
 pub(super) use plan::{Field, RowPlan, is_single, snake_case};
-pub(super) use reader::{Rows, TableFacts, TableReader};
+pub(super) use reader::{Rows, TableFacts, open_table};

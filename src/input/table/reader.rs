@@ -61,6 +61,15 @@ pub struct TableReader<R> {
     applies_pose: bool,
 }
 
+/// Opens a table behind the interface that all formats have.
+pub fn open_table(
+    rows: impl Rows + 'static,
+    plan: RowPlan,
+    facts: TableFacts,
+) -> Result<Box<dyn ForeignReader>, ForeignFault> {
+    Ok(Box::new(TableReader::open(rows, plan, facts)?))
+}
+
 impl<R: Rows> TableReader<R> {
     /// Looks through all rows.
     pub fn open(rows: R, plan: RowPlan, table: TableFacts) -> Result<Self, ForeignFault> {

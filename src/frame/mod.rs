@@ -6,14 +6,21 @@
 //! all of it or up to a quota per frame. No thread of its own.
 
 mod color;
+mod device;
+mod drawing;
+mod last_frame;
+mod loading;
 mod node_cache;
 mod reference;
 mod renderer;
+mod settings;
+mod settle_colors;
 mod source;
 mod stats;
 
 pub use color::{ColorMode, class_color};
 pub use reference::reference_picture;
-pub use renderer::{FrameError, FrameSettings, Loading, RasterPath, Renderer};
+pub use renderer::Renderer;
+pub use settings::{FrameError, FrameSettings, Loading, RasterPath};
 pub use source::NodeSource;
 pub use stats::{FrameStats, PassTime};

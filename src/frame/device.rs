@@ -1,0 +1,94 @@
+//! What draws: the CPU, or a pass on a device with its targets and its clock.
+
+#[cfg(feature = "gpu")]
+use std::sync::Arc;
+
+#[cfg(feature = "gpu")]
+use crate::geometry::View;
+#[cfg(feature = "gpu")]
+use crate::gpu::{Gpu, GpuError, PassTimer, WordArena};
+#[cfg(feature = "gpu")]
+use crate::passes::{DrawCounts, DrawTable, PointDrawing, PointsCompute, PointsRaster, Targets};
+use crate::passes::{Picture, PointsCpu};
+
+/// Where points are drawn.
+pub(super) enum Device {
+    Cpu {
+        pass: PointsCpu,
+        picture: Option<Picture>,
+    },
+    #[cfg(feature = "gpu")]
+    Gpu(Box<OnGpu>),
+}
+
+/// All that draws on a device.
+#[cfg(feature = "gpu")]
+pub(super) struct OnGpu {
+    pub(super) gpu: Arc<Gpu>,
+    pub(super) pass: GpuPass,
+    pub(super) timer: PassTimer,
+    pub(super) targets: Option<Targets>,
+}
+
+/// The pass that draws points there.
+#[cfg(feature = "gpu")]
+pub(super) enum GpuPass {
+    Compute(PointsCompute),
+    Raster(PointsRaster),
+}
+#[cfg(feature = "gpu")]
+impl OnGpu {
+    pub(super) fn draw(
+        &mut self,
+        frame: &crate::gpu::layout::GpuFrame,
+        table: &DrawTable,
+        arena: &WordArena,
+    ) -> Result<DrawCounts, GpuError> {
+        let [width_px, height_px] = frame.target_px;
+        if !self.targets.as_ref().is_some_and(|targets| targets.fits(width_px, height_px)) {
+            self.targets = None;
+            self.targets = Some(Targets::new(&self.gpu, width_px, height_px)?);
+        }
+        let targets = self.targets.as_ref().expect("they were just made");
+        self.timer.begin_frame();
+        let gpu = self.gpu.clone();
+        let (pass, timer) = (&mut self.pass, &mut self.timer);
+        let drawing = PointDrawing { frame, table, arena, targets };
+        gpu.checked("draw a frame", || {
+            let mut encoder = gpu.device().create_command_encoder(&Default::default());
+            let counts = match pass {
+                GpuPass::Compute(pass) => pass.draw(&gpu, &mut encoder, timer, &drawing),
+                GpuPass::Raster(pass) => pass.draw(&gpu, &mut encoder, timer, &drawing),
+            }?;
+            timer.end_frame(&mut encoder);
+            gpu.queue().submit([encoder.finish()]);
+            timer.after_submit();
+            Ok(counts)
+        })?
+    }
+
+    pub(super) fn max_pixels(&self) -> u64 {
+        match &self.pass {
+            GpuPass::Compute(_) => PointsCompute::max_pixels(&self.gpu),
+            // Reading back needs a buffer of 4 bytes per pixel.
+            GpuPass::Raster(_) => self.gpu.device().limits().max_buffer_size / 8,
+        }
+    }
+
+    pub(super) fn distances_of_rows(
+        &self,
+        view: &View,
+        rows: std::ops::Range<u32>,
+    ) -> Result<Vec<f32>, GpuError> {
+        let Some(targets) = &self.targets else { return Ok(Vec::new()) };
+        match &self.pass {
+            GpuPass::Compute(pass) => pass.distances_of_rows(&self.gpu, rows),
+            GpuPass::Raster(_) => {
+                let picture = targets.read(&self.gpu, view.camera.near as f32)?;
+                let width = view.width_px as usize;
+                Ok(picture.distances[rows.start as usize * width..rows.end as usize * width]
+                    .to_vec())
+            }
+        }
+    }
+}

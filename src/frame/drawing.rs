@@ -1,0 +1,129 @@
+//! Drawing what is ready: the draw table, the pass, and its picture.
+
+use std::time::Instant;
+
+use crate::frame::device::Device;
+#[cfg(feature = "gpu")]
+use crate::frame::node_cache::Storage;
+use crate::frame::node_cache::{SceneNode, Words};
+use crate::frame::{FrameError, FrameSettings, Renderer};
+use crate::geometry::View;
+use crate::ids::NodeId;
+use crate::passes::{CloudDraw, NodePlace, NodeWords, Picture, Tile};
+use crate::select::Cut;
+
+/// Most pixels of one part of a picture on the CPU.
+const CPU_TILE_PIXELS: u64 = 16 << 20;
+
+impl Renderer {
+    pub(super) fn fill_table(&mut self, cuts: &[Cut], view: &View, settings: &FrameSettings) {
+        let cache = &self.cache;
+        let place_of = |node: SceneNode| {
+            let ready = cache.get(node).expect("drawn nodes are ready");
+            match &ready.words {
+                Words::Memory(_) => NodePlace::default(),
+                #[cfg(feature = "gpu")]
+                Words::Device(range) => NodePlace {
+                    shard: range.shard,
+                    positions_at: range.first,
+                    colors_at: range.first + ready.position_words,
+                },
+            }
+        };
+        let places: Vec<_> = (0..self.sources.len())
+            .map(|cloud| move |node: NodeId| place_of((cloud, node)))
+            .collect();
+        let clouds: Vec<_> = self
+            .sources
+            .iter()
+            .zip(cuts)
+            .zip(&places)
+            .map(|((source, cut), place)| CloudDraw { octree: source.octree(), cut, place })
+            .collect();
+        self.table.fill(&clouds, view, &settings.cut.splat);
+    }
+
+    pub(super) fn draw(
+        &mut self,
+        view: &View,
+        tile: Tile,
+        settings: &FrameSettings,
+    ) -> Result<(), FrameError> {
+        let start = Instant::now();
+        let frame = tile.gpu_frame(view, &settings.cut.splat, settings.background);
+        match &mut self.device {
+            Device::Cpu { pass, picture } => {
+                let mut words =
+                    vec![NodeWords { positions: &[], colors: &[] }; self.table.nodes.len()];
+                for draw in &self.table.draws {
+                    let ready = self.cache.get((draw.cloud, draw.node));
+                    if let Some(ready) = ready
+                        && let Words::Memory(all) = &ready.words
+                    {
+                        let (positions, colors) = all.split_at(ready.position_words as usize);
+                        words[draw.slot as usize] = NodeWords { positions, colors };
+                    }
+                }
+                if self.table.draws.is_empty() {
+                    *picture =
+                        Some(Picture::empty(tile.width_px, tile.height_px, settings.background));
+                } else {
+                    pass.draw(&frame, &self.table, &words);
+                    *picture = Some(pass.resolve(&frame));
+                }
+            }
+            #[cfg(feature = "gpu")]
+            Device::Gpu(on_gpu) => {
+                let Storage::Device(arena) = self.cache.storage() else {
+                    unreachable!("a renderer on a device stores there")
+                };
+                let counts = on_gpu.draw(&frame, &self.table, arena)?;
+                self.stats.draw_calls += counts.draw_calls;
+                self.stats.dispatches += counts.dispatches;
+                self.stats.bytes_uploaded += counts.uploaded_bytes;
+                let times: Vec<_> = on_gpu.timer.collect().clone();
+                self.note_gpu_times(&times);
+            }
+        }
+        self.note_cpu_time("draw", start);
+        Ok(())
+    }
+
+    /// Brings the tile that was just drawn to memory.
+    pub(super) fn take_picture(&mut self) -> Result<Picture, FrameError> {
+        match &mut self.device {
+            Device::Cpu { picture, .. } => Ok(picture.take().expect("it was just drawn")),
+            #[cfg(feature = "gpu")]
+            Device::Gpu(on_gpu) => {
+                let targets = on_gpu.targets.as_ref().expect("it was just drawn");
+                Ok(targets.read_colors(&on_gpu.gpu)?)
+            }
+        }
+    }
+
+    pub(super) fn distances_of_rows(
+        &self,
+        view: &View,
+        rows: std::ops::Range<u32>,
+    ) -> Result<Vec<f32>, FrameError> {
+        let width = view.width_px as usize;
+        match &self.device {
+            Device::Cpu { picture, .. } => Ok(picture.as_ref().map_or(Vec::new(), |picture| {
+                picture.distances[rows.start as usize * width..rows.end as usize * width].to_vec()
+            })),
+            #[cfg(feature = "gpu")]
+            Device::Gpu(on_gpu) => Ok(on_gpu.distances_of_rows(view, rows)?),
+        }
+    }
+
+    pub(super) fn tiles(&self, view: &View) -> Vec<Tile> {
+        match &self.device {
+            Device::Cpu { .. } => Tile::cover(view, u32::MAX, CPU_TILE_PIXELS),
+            #[cfg(feature = "gpu")]
+            Device::Gpu(on_gpu) => {
+                let side = on_gpu.gpu.device().limits().max_texture_dimension_2d;
+                Tile::cover(view, side, on_gpu.max_pixels())
+            }
+        }
+    }
+}

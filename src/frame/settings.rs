@@ -1,0 +1,101 @@
+//! What a frame shall be, and why one was not drawn.
+
+use crate::frame::ColorMode;
+use crate::geometry::View;
+#[cfg(feature = "gpu")]
+use crate::gpu::GpuError;
+use crate::select::CutSettings;
+
+/// Why a frame was not drawn.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum FrameError {
+    /// The view cannot be drawn.
+    #[error("the view cannot be drawn: {reason}")]
+    View {
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The device failed.
+    #[cfg(feature = "gpu")]
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+}
+
+/// How points are drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RasterPath {
+    /// Compute shaders with 64-bit atomics.
+    Compute,
+    /// The rasterizer.
+    Raster,
+    /// All cores of the CPU.
+    Cpu,
+}
+
+impl RasterPath {
+    /// The path in one word, for options and reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            RasterPath::Compute => "compute",
+            RasterPath::Raster => "raster",
+            RasterPath::Cpu => "cpu",
+        }
+    }
+}
+
+/// How much a frame loads before it draws.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Loading {
+    /// Everything that the view wants.
+    All,
+    /// Nodes up to about that many bytes; until all is there parents are drawn instead.
+    Quota {
+        /// Bytes of words per frame; at least one node is loaded.
+        bytes: u64,
+    },
+}
+
+/// What a frame shall be.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FrameSettings {
+    /// What may be drawn and how exact it shall be.
+    pub cut: CutSettings,
+    /// What points are coloured by.
+    pub color: ColorMode,
+    /// RGBA8 word of pixels without a point. Default: a dark grey.
+    pub background: u32,
+    /// How much is loaded before drawing. Default: all.
+    pub loading: Loading,
+}
+
+impl Default for FrameSettings {
+    fn default() -> Self {
+        FrameSettings {
+            cut: CutSettings::default(),
+            color: ColorMode::default(),
+            background: 0xff20_1c1a,
+            loading: Loading::All,
+        }
+    }
+}
+
+/// Refuses views that have no picture.
+pub(super) fn check_view(view: &View) -> Result<(), FrameError> {
+    let camera = &view.camera;
+    let wrong = |reason: &str| Err(FrameError::View { reason: reason.into() });
+    let vectors = [camera.eye, camera.forward, camera.up];
+    if vectors.iter().any(|v| !v.is_finite()) || !camera.near.is_finite() {
+        return wrong("the camera has a number that is not finite");
+    }
+    if !(camera.fov_y_rad > 0.0 && camera.fov_y_rad < std::f64::consts::PI) {
+        return wrong("the field of view is not between 0 and 180 degrees");
+    }
+    if camera.near <= 0.0 {
+        return wrong("the near plane is not in front of the eye");
+    }
+    if view.width_px == 0 || view.height_px == 0 {
+        return wrong("the picture has no pixels");
+    }
+    Ok(())
+}

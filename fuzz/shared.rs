@@ -138,8 +138,13 @@ fn with_page_checksums(bytes: &[u8]) -> Vec<u8> {
 /// as in `FORMAT.md`.
 fn with_store_checksums(bytes: &[u8]) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
-    if bytes.len() < 128 {
+    if bytes.len() < 256 {
         return bytes;
+    }
+    // The second slot of the header must not hide the first.
+    if bytes[8] > 1 {
+        bytes[128..256].fill(0);
+        bytes[12..16].copy_from_slice(&2u32.to_le_bytes());
     }
     let length = bytes.len() as u64;
     bytes[16..24].copy_from_slice(&length.to_le_bytes());
@@ -174,10 +179,14 @@ fn set_section_checksums(bytes: &mut [u8]) -> Option<()> {
     let sections = metadata.get("sections")?.as_array()?.len();
     let depth = usize::try_from(metadata.get("depth")?.as_u64()?).ok().filter(|d| *d < 32)?;
     let directory = part_at(bytes, 48)?;
-    let first = 40 + 4 * (depth + 1);
+    let is_first_version = bytes[8] == 1;
+    let first = if is_first_version { 40 } else { 48 } + 4 * (depth + 1);
     let row_bytes = first + 12 * sections;
     let mut at = usize::try_from(word(bytes, 96)?).ok()?;
     for row in directory.step_by(row_bytes) {
+        if !is_first_version {
+            at = usize::try_from(word(bytes, row + 40)?).ok()?;
+        }
         for section in (row + first..row + row_bytes).step_by(12) {
             let end = at.checked_add(usize::try_from(word(bytes, section)?).ok()?)?;
             let checksum = crc32c::crc32c(bytes.get(at..end)?);

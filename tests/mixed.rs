@@ -15,7 +15,7 @@ use esker::build::{BuildError, ConvertOptions, ConvertReport, Silent, convert};
 use esker::ids::NodeId;
 use esker::output::Compression;
 use esker::points::Scalar;
-use esker::store::{HEADER_BYTES, Store, check};
+use esker::store::{SLOT_BYTES, Store, check};
 use foreign_files::{
     E57, E57Scan, Pcd, Ply, Point, e57, open, pcd, ply, points_of, read, samples, write,
 };
@@ -206,7 +206,7 @@ fn points_of_a_wrong_source_are_found_by_check() {
     let metadata =
         header.metadata.offset as usize..(header.metadata.offset + header.metadata.bytes) as usize;
     header.metadata.checksum = crc32c::crc32c(&bytes[metadata]);
-    bytes[..HEADER_BYTES].copy_from_slice(&header.encode());
+    bytes[..SLOT_BYTES].copy_from_slice(&header.encode());
     std::fs::write(&output, bytes).unwrap();
     let report = check(&output).unwrap();
     let messages: Vec<&str> = report.findings.iter().map(|f| f.message.as_str()).collect();

@@ -56,7 +56,7 @@ fn every_flipped_byte_is_found_and_named() {
             "metadata"
         } else if within(header.directory.offset, header.directory.bytes) {
             "directory"
-        } else if within(header.data_offset, header.data_bytes) {
+        } else if within(HEADER_BYTES as u64, header.data_bytes) {
             "node "
         } else {
             "appendix"
@@ -76,9 +76,18 @@ fn every_truncation_is_refused() {
         let error = Store::open(&cut_path).expect_err("a cut store does not open");
         assert!(error.to_string().contains("cut.esker"), "it names the file: {error}");
     }
+}
+
+#[test]
+fn what_an_unfinished_change_left_is_told() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = small_store(folder.path());
+    let sound = std::fs::read(&path).expect("the store reads");
     let longer = [&sound[..], b"more"].concat();
-    std::fs::write(&cut_path, longer).expect("a file can be written");
-    assert!(Store::open(&cut_path).is_err(), "bytes after the end are not a store's");
+    std::fs::write(&path, longer).expect("a file can be written");
+    assert!(Store::open(&path).is_ok(), "the store itself is whole");
+    let findings = check(&path).expect("it opens").findings;
+    assert!(findings[0].message.contains("beyond the end"), "{findings:?}");
 }
 
 #[test]
@@ -100,8 +109,8 @@ fn a_store_that_shrinks_while_open_gives_an_error_value() {
     let path = small_store(folder.path());
     let store = Store::open(&path).expect("the store opens");
     let file = std::fs::OpenOptions::new().write(true).open(&path).expect("it opens for writing");
-    file.set_len(store.header().data_offset + 10).expect("it can be cut");
     let last = esker::ids::NodeId(store.octree().nodes().len() as u32 - 1);
+    file.set_len(store.node_extent(last).0 + 1).expect("it can be cut");
     let error = store.read_positions(last, &mut Vec::new()).expect_err("the bytes are gone");
     assert!(error.to_string().contains(&format!("node {last}")), "it names the node: {error}");
 }

@@ -14,7 +14,7 @@ pub struct Budget {
     pub page_bytes: usize,
     /// Pages in memory, open ones included; what is left over goes to disk.
     pub slab_bytes: u64,
-    /// Encoded nodes waiting to be written.
+    /// Encoded nodes waiting for their turn to be written.
     pub node_bytes: u64,
     /// Most points of a chunk, if they can be divided.
     pub most_chunk_points: u64,
@@ -29,6 +29,8 @@ const LEAST_PAGE_SHIFT: u32 = 1;
 const CHUNK_POINTS: u64 = 1 << 16;
 /// Chunks of an input where memory allows so few.
 const MOST_CHUNKS: u64 = 1 << 10;
+/// Nodes that wait for an earlier chunk need not be many.
+const MOST_NODE_BYTES: u64 = 64 << 20;
 /// Fewest points of a chunk.
 const LEAST_CHUNK_POINTS: u64 = 8;
 
@@ -69,7 +71,7 @@ impl Budget {
         let shifts = LEAST_PAGE_SHIFT..=MOST_PAGE_SHIFT;
         let page_shift = shifts.rev().find(|shift| open(*shift) <= usable / 4)?;
         let work_bytes = work * chunk_points.min(2 * CHUNK_POINTS);
-        let node_bytes = usable / 10;
+        let node_bytes = (usable / 20).min(MOST_NODE_BYTES);
         let spanning_bytes = usable / 10;
         Some(Budget {
             workers,
@@ -91,8 +93,7 @@ impl Budget {
         // What was decompressed waits on disk while it is sorted into chunks.
         let copies = if sources.are_compressed() { 2 } else { 1 };
         let spilled = records.saturating_sub(self.slab_bytes) * copies;
-        let staged = (records / 8).saturating_sub(self.node_bytes);
-        (records / 8, spilled + staged)
+        (records / 8, spilled)
     }
 
     /// Rows of that length on a page, as the power of two.

@@ -14,7 +14,7 @@ use crate::build::spanning::PendingState;
 use crate::build::survey::{HeldPage, Survey};
 use crate::build::work::Work;
 use crate::geometry::MortonKey;
-use crate::store::{StagedState, ValueRange};
+use crate::store::{ValueRange, WriterState};
 
 /// Everything that a conversion needs to go on.
 #[derive(Debug, Serialize, Deserialize)]
@@ -60,8 +60,10 @@ pub enum Step {
         rows: Vec<ChunkRowsState>,
         /// Nodes that wait for more chunks.
         pending: Vec<PendingState>,
-        /// Nodes that wait to be written.
-        nodes: Vec<StagedState>,
+        /// What has been written.
+        writer: WriterState,
+        /// Coarse nodes that wait to be written.
+        coarse: Vec<Vec<DiskPlace>>,
         /// Value ranges of their attributes.
         ranges: Vec<Vec<ValueRange>>,
         /// Points beyond one per finest cell in them.

@@ -7,11 +7,11 @@
 
 use std::collections::HashMap;
 
-use crate::build::BuildError;
 use crate::build::encode::FinishedNode;
 use crate::build::home::{BEYOND, Homes, Waiting};
 use crate::build::node::{NodeBuilder, SortedPoints, TreeRules};
 use crate::build::plan::Chunk;
+use crate::build::progress::Progress;
 use crate::build::rows::RowTable;
 use crate::build::sort::{Item, SortScratch, sort_rows};
 use crate::geometry::MortonKey;
@@ -60,10 +60,19 @@ struct OpenNode {
 
 /// Where a chunk's results go.
 pub struct ChunkSink<'a, K> {
-    /// Takes nodes that lie within the chunk.
-    pub finished: &'a mut dyn FnMut(FinishedNode) -> Result<(), BuildError>,
+    /// Nodes that lie within the chunk.
+    pub finished: Vec<FinishedNode>,
+    /// Hears of the points of each.
+    pub progress: &'a dyn Progress,
     /// Collects what belongs to nodes that do not.
     pub contributions: Vec<Contribution<K>>,
+}
+
+impl<'a, K> ChunkSink<'a, K> {
+    /// Nothing yet.
+    pub fn new(progress: &'a dyn Progress) -> Self {
+        ChunkSink { finished: Vec::new(), progress, contributions: Vec::new() }
+    }
 }
 
 /// Builds what a chunk can decide alone.
@@ -74,11 +83,11 @@ pub fn build_chunk<K: MortonKey>(
     taken: &[Taken],
     scratch: &mut ChunkScratch<K>,
     sink: &mut ChunkSink<K>,
-) -> Result<(), BuildError> {
+) {
     sort_rows(rows, &mut scratch.items, &mut scratch.sort);
     let homes = Homes { root_bits: rules.root_bits, levels: rules.levels };
     find_homes(&homes, chunk, rows, taken, scratch);
-    sweep(rules, chunk, rows, scratch, sink)
+    sweep(rules, chunk, rows, scratch, sink);
 }
 
 /// Fills `homes`, one per item.
@@ -136,9 +145,9 @@ fn sweep<K: MortonKey>(
     rows: RowTable,
     scratch: &mut ChunkScratch<K>,
     sink: &mut ChunkSink<K>,
-) -> Result<(), BuildError> {
+) {
     let ChunkScratch { items, homes, open, nodes, .. } = scratch;
-    let Some(first) = items.first() else { return Ok(()) };
+    let Some(first) = items.first() else { return };
     let depths = rules.max_depth() as usize + 1;
     open.resize_with(depths, OpenNode::default);
     let points = SortedPoints { items, homes, rows };
@@ -150,7 +159,7 @@ fn sweep<K: MortonKey>(
         // Nodes at this depth and above contain both points.
         let shared = rules.root_bits - differing;
         if shared < deepest {
-            sweep.close_below(shared, deepest, key)?;
+            sweep.close_below(shared, deepest, key);
             deepest = shared;
         }
         let home = u32::from(homes[place] & !BEYOND);
@@ -158,8 +167,8 @@ fn sweep<K: MortonKey>(
         sweep.open[home as usize].members.push(place as u32);
         key = item.key;
     }
-    sweep.close_below(0, deepest, key)?;
-    sweep.close(0, key)
+    sweep.close_below(0, deepest, key);
+    sweep.close(0, key);
 }
 
 struct Sweep<'a, 's, K> {
@@ -173,15 +182,15 @@ struct Sweep<'a, 's, K> {
 
 impl<K: MortonKey> Sweep<'_, '_, K> {
     /// Closes the open nodes deeper than `shared`, deepest first; `key` is of a point in them.
-    fn close_below(&mut self, shared: u32, deepest: u32, key: K) -> Result<(), BuildError> {
-        (shared + 1..=deepest).rev().try_for_each(|depth| self.close(depth, key))
+    fn close_below(&mut self, shared: u32, deepest: u32, key: K) {
+        (shared + 1..=deepest).rev().for_each(|depth| self.close(depth, key));
     }
 
-    fn close(&mut self, depth: u32, key: K) -> Result<(), BuildError> {
+    fn close(&mut self, depth: u32, key: K) {
         let mut node = std::mem::take(&mut self.open[depth as usize]);
         let entering = node.members.len() as u64 - node.dissolved + node.below;
         if entering == 0 {
-            return Ok(());
+            return;
         }
         if node.dissolved > 0 {
             // Runs of rising places: merged rather than sorted.
@@ -191,7 +200,8 @@ impl<K: MortonKey> Sweep<'_, '_, K> {
             self.contribute(depth, key, entering, &node.members);
         } else if depth == 0 || entering >= self.rules.threshold as u64 {
             let finished = self.nodes.finish(self.rules, depth, &self.points, &node.members);
-            (self.sink.finished)(finished)?;
+            self.sink.progress.advance(finished.points());
+            self.sink.finished.push(finished);
         } else {
             let parent = &mut self.open[depth as usize - 1];
             parent.dissolved += node.members.len() as u64;
@@ -202,7 +212,6 @@ impl<K: MortonKey> Sweep<'_, '_, K> {
         }
         node.members.clear();
         self.open[depth as usize] = OpenNode { members: node.members, ..OpenNode::default() };
-        Ok(())
     }
 
     fn contribute(&mut self, depth: u32, key: K, entering: u64, members: &[u32]) {

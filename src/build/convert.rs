@@ -5,16 +5,17 @@ use std::sync::atomic::AtomicBool;
 
 use crate::build::BuildError;
 use crate::build::budget::Budget;
-use crate::build::checkpoint::{self, Checkpoints, State};
+use crate::build::checkpoint::{self, Checkpoints, State, Step};
 use crate::build::encode::Encoding;
 use crate::build::machine::free_disk;
 use crate::build::node::TreeRules;
 use crate::build::options::{ConvertOptions, DEPTH_RANGE};
+use crate::build::ordered::Built;
 use crate::build::pages::{PageStore, Slab};
 use crate::build::progress::{Clock, Progress, Stage, StageTime};
 use crate::build::rows::color_offset;
 use crate::build::sources::Sources;
-use crate::build::steps::{Built, Steps};
+use crate::build::steps::Steps;
 use crate::build::work::Work;
 use crate::geometry::MortonKey;
 use crate::store::{Metadata, SourceInfo, StoreWriter, ValueRange, remove_dead_part, sections_for};
@@ -114,6 +115,9 @@ impl Conversion<'_> {
         let can_go_on = matches!(outcome, Err(BuildError::Interrupted)) && work.has_state();
         if !can_go_on {
             work.remove();
+            if outcome.is_err() {
+                remove_dead_part(self.output);
+            }
         }
         outcome
     }
@@ -124,7 +128,13 @@ impl Conversion<'_> {
         let inputs: Vec<PathBuf> =
             sources.scans().iter().map(|source| source.path().to_path_buf()).collect();
         let job = checkpoint::job(&inputs, self.options);
-        let resumed: Option<State> = work.state(&job)?;
+        let mut resumed: Option<State> = work.state(&job)?;
+        if let Some(State { step: Step::Build { writer, .. }, .. }) = &resumed
+            && !StoreWriter::can_resume(self.output, writer)
+        {
+            work.remove();
+            resumed = None;
+        }
         let mut budget = Budget::new(self.options, schema, sources.expected_points())?;
         budget.page_bytes = resumed.as_ref().map_or(budget.page_bytes, |state| state.page_bytes);
         if resumed.is_none() {
@@ -134,13 +144,15 @@ impl Conversion<'_> {
         let pages_end = resumed.as_ref().map_or(0, |state| state.pages_end);
         let pages = PageStore::new(work, budget.page_bytes, &mut slab, pages_end);
         let every = self.options.checkpoint_every;
+        let before_write = || work.before_write();
         let mut steps = Steps {
             progress: self.progress,
             cancelled: self.cancelled,
             sources,
             budget,
             pages: &pages,
-            work,
+            output: self.output,
+            before_write: &before_write,
             checkpoints: Checkpoints::new(work, job, every, budget.page_bytes),
         };
         let is_resumed = resumed.is_some();
@@ -163,7 +175,7 @@ impl Conversion<'_> {
             encoding: Encoding { schema, sections: &sections, color_bits },
         };
         let built = if surveyed.survey.points == 0 {
-            Built::new(StoreWriter::new(work, 0))
+            Built::new(StoreWriter::create(self.output, &before_write)?)
         } else if root_bits <= u64::MAX_BITS {
             steps.build::<u64>(&mut surveyed, &rules, &mut clock)?
         } else {
@@ -199,13 +211,8 @@ impl Conversion<'_> {
             sources: described.infos,
         };
         let nodes = built.writer.node_count();
-        let temporary_bytes = pages.written_bytes() + built.writer.spilled_bytes();
-        let output_bytes = built.writer.finish(
-            self.output,
-            &metadata,
-            &described.appendix,
-            self.options.overwrite,
-        )?;
+        let overwrite = self.options.overwrite;
+        let output_bytes = built.writer.finish(&metadata, &described.appendix, overwrite)?;
         self.progress.advance(survey.points);
         let warnings = metadata
             .sources
@@ -218,7 +225,7 @@ impl Conversion<'_> {
             nodes,
             overflow_points: built.overflow_points,
             output_bytes,
-            temporary_bytes,
+            temporary_bytes: pages.written_bytes(),
             in_memory: pages.written_bytes() == 0,
             resumed: is_resumed,
             stages: clock.finish(),

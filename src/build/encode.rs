@@ -8,7 +8,7 @@ use crate::geometry::MortonKey;
 use crate::octree::LevelIndex;
 use crate::points::{Attribute, COORDINATE_BYTES, Scalar, Schema, names};
 use crate::store::{
-    CodecScratch, EncodedNode, NARROW_BITS, Section, SectionContent, SectionExtent, ValueRange,
+    CodecScratch, EncodedNode, NARROW_BITS, NodeRow, Section, SectionContent, ValueRange,
     encode_section, position_shape,
 };
 
@@ -30,6 +30,13 @@ pub struct FinishedNode {
     pub ranges: Vec<Vec<ValueRange>>,
     /// Points beyond one per finest cell.
     pub overflow_points: u64,
+}
+
+impl FinishedNode {
+    /// Points of the node.
+    pub fn points(&self) -> u64 {
+        u64::from(self.node.row.levels.point_count())
+    }
 }
 
 /// Encodes nodes; its memory is used again.
@@ -75,7 +82,6 @@ impl Encoder {
             ranges[i] = value_ranges(rgb, &self.column);
         }
         for section in encoding.sections {
-            let start = self.bytes.len();
             let mut shape = section.shape;
             match section.content {
                 SectionContent::Attribute(i) => {
@@ -94,13 +100,13 @@ impl Encoder {
                     push_low_colors(&self.records, stride, encoding, &mut self.column)
                 }
             }
-            let written = encode_section(shape, &self.column, &mut self.scratch, &mut self.bytes);
-            let checksum = crc32c::crc32c(&self.bytes[start..]);
-            sections.push(SectionExtent { bytes: written as u64, checksum });
+            let column = &self.column;
+            sections.push(encode_section(shape, column, &mut self.scratch, &mut self.bytes));
         }
         let levels = LevelIndex::new(totals).expect("level totals of a node rise from 1");
         let bytes = self.bytes.as_slice().into();
-        let node = EncodedNode { depth, cell: cell.into(), levels, tight, sections, bytes };
+        let row = NodeRow { depth, cell: cell.into(), levels, tight };
+        let node = EncodedNode { row, sections, bytes };
         FinishedNode { node, ranges, overflow_points: 0 }
     }
 }

@@ -18,6 +18,7 @@ mod in_order;
 mod machine;
 mod node;
 mod options;
+mod ordered;
 mod pages;
 mod partition;
 mod plan;

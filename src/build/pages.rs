@@ -13,6 +13,7 @@ use memmap2::MmapMut;
 
 use crate::build::BuildError;
 use crate::build::work::Work;
+use crate::store::StoreBytes;
 
 /// Memory for pages: reserved as a whole, touched only as far as it is used.
 ///
@@ -179,9 +180,21 @@ impl<'a> PageStore<'a> {
     pub fn read_bytes(&self, (offset, bytes): DiskPlace) -> Result<Vec<u8>, BuildError> {
         let mut read = vec![0; bytes as usize];
         let file = self.file().map_err(|e| self.work.error("cannot open", e))?;
-        read_exact_at(file, &mut read, offset)
+        file.read_exact_at(&mut read, offset)
             .map_err(|e| self.work.error("cannot read back", e))?;
         Ok(read)
+    }
+
+    /// Writes bytes piece by piece: the lengths of places have 32 bits.
+    pub fn write_pieces(&self, bytes: &[u8]) -> Result<Vec<DiskPlace>, BuildError> {
+        const MOST_PIECE_BYTES: usize = 1 << 30;
+        bytes.chunks(MOST_PIECE_BYTES).map(|piece| self.write_bytes(piece)).collect()
+    }
+
+    /// Reads all pieces back.
+    pub fn read_pieces(&self, places: Vec<DiskPlace>) -> Result<Vec<u8>, BuildError> {
+        let pieces = places.into_iter().map(|place| self.read_bytes(place));
+        Ok(pieces.collect::<Result<Vec<_>, _>>()?.concat())
     }
 
     /// Brings a page to disk, if it is not there, and tells where it is.
@@ -225,7 +238,7 @@ impl<'a> PageStore<'a> {
                 let mut rows = self.buffer();
                 rows.set_used(bytes as usize);
                 let file = self.file().map_err(|e| self.work.error("cannot open", e))?;
-                read_exact_at(file, &mut rows.room()[..bytes as usize], offset)
+                file.read_exact_at(&mut rows.room()[..bytes as usize], offset)
                     .map_err(|e| self.work.error("cannot read back", e))?;
                 Ok(rows)
             }
@@ -246,11 +259,6 @@ fn write_all_at(file: &File, bytes: &[u8], offset: u64) -> io::Result<()> {
     std::os::unix::fs::FileExt::write_all_at(file, bytes, offset)
 }
 
-#[cfg(unix)]
-fn read_exact_at(file: &File, bytes: &mut [u8], offset: u64) -> io::Result<()> {
-    std::os::unix::fs::FileExt::read_exact_at(file, bytes, offset)
-}
-
 #[cfg(windows)]
 fn write_all_at(file: &File, mut bytes: &[u8], mut offset: u64) -> io::Result<()> {
     use std::os::windows::fs::FileExt;
@@ -258,20 +266,6 @@ fn write_all_at(file: &File, mut bytes: &[u8], mut offset: u64) -> io::Result<()
         let written = file.seek_write(bytes, offset)?;
         bytes = &bytes[written..];
         offset += written as u64;
-    }
-    Ok(())
-}
-
-#[cfg(windows)]
-fn read_exact_at(file: &File, mut bytes: &mut [u8], mut offset: u64) -> io::Result<()> {
-    use std::os::windows::fs::FileExt;
-    while !bytes.is_empty() {
-        let read = file.seek_read(bytes, offset)?;
-        if read == 0 {
-            return Err(io::ErrorKind::UnexpectedEof.into());
-        }
-        bytes = &mut bytes[read..];
-        offset += read as u64;
     }
     Ok(())
 }

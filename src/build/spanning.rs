@@ -33,9 +33,6 @@ pub struct PendingState {
     kept: Vec<DiskPlace>,
 }
 
-/// Most bytes written at once: places have 32-bit lengths.
-const MOST_PIECE_BYTES: usize = 1 << 30;
-
 /// A node whose points are all known.
 pub struct ReadyNode {
     depth: u32,
@@ -71,9 +68,6 @@ impl<K: MortonKey> Spanning<K> {
     /// added must have been added.
     pub fn state(&self, pages: &PageStore) -> Result<Vec<PendingState>, BuildError> {
         assert!(self.early.is_empty(), "no chunk is missing");
-        let write = |bytes: &[u8]| -> Result<Vec<DiskPlace>, BuildError> {
-            bytes.chunks(MOST_PIECE_BYTES).map(|piece| pages.write_bytes(piece)).collect()
-        };
         let states = self.pending.iter().map(|(&(depth, code), node)| {
             let kept: Vec<u8> = node.kept.iter().map(|&kept| u8::from(kept)).collect();
             let wide = code.widen();
@@ -81,8 +75,8 @@ impl<K: MortonKey> Spanning<K> {
                 depth,
                 code: [wide as u64, (wide >> 64) as u64],
                 entering: node.entering,
-                rows: write(&node.rows)?,
-                kept: write(&kept)?,
+                rows: pages.write_pieces(&node.rows)?,
+                kept: pages.write_pieces(&kept)?,
             })
         });
         states.collect()
@@ -96,24 +90,25 @@ impl<K: MortonKey> Spanning<K> {
         pages: &PageStore,
     ) -> Result<(), BuildError> {
         self.next = done;
-        let read = |places: Vec<DiskPlace>| -> Result<Vec<u8>, BuildError> {
-            let pieces = places.into_iter().map(|place| pages.read_bytes(place));
-            Ok(pieces.collect::<Result<Vec<_>, _>>()?.concat())
-        };
         for state in states {
             let code = K::narrow(u128::from(state.code[0]) | u128::from(state.code[1]) << 64);
-            let kept = read(state.kept)?.into_iter().map(|mark| mark == 1).collect();
-            let node = Pending { entering: state.entering, rows: read(state.rows)?, kept };
+            let kept = pages.read_pieces(state.kept)?.into_iter().map(|mark| mark == 1).collect();
+            let node =
+                Pending { entering: state.entering, rows: pages.read_pieces(state.rows)?, kept };
             self.pending.insert((state.depth, code), node);
         }
         Ok(())
     }
 
-    /// Takes what a chunk gives; returns the nodes that are ready now, in an order that depends on
-    /// nothing but the chunks.
-    pub fn add(&mut self, chunk: usize, contributions: Vec<Contribution<K>>) -> Vec<ReadyNode> {
+    /// Takes what a chunk gives; returns the chunks that are now accounted for, with the nodes that
+    /// end with each.
+    pub fn add(
+        &mut self,
+        chunk: usize,
+        contributions: Vec<Contribution<K>>,
+    ) -> Vec<(usize, Vec<ReadyNode>)> {
         self.early.insert(chunk, contributions);
-        let mut ready = Vec::new();
+        let mut all = Vec::new();
         while let Some(contributions) = self.early.remove(&self.next) {
             for part in contributions {
                 let pending = self.pending.entry((part.depth, part.code)).or_default();
@@ -125,10 +120,12 @@ impl<K: MortonKey> Spanning<K> {
                     pending.kept.extend_from_slice(&part.kept);
                 }
             }
+            let mut ready = Vec::new();
             self.close_before(self.ends[self.next], &mut ready);
+            all.push((self.next, ready));
             self.next += 1;
         }
-        ready
+        all
     }
 
     /// Closes all nodes that do not reach beyond a code, deepest first.

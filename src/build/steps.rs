@@ -1,5 +1,6 @@
 //! The steps of a conversion, each from where it was left: reading, sorting into chunks, building.
 
+use std::path::Path;
 use std::sync::Mutex;
 use std::sync::atomic::AtomicBool;
 
@@ -9,9 +10,10 @@ use crate::build::BuildError;
 use crate::build::budget::Budget;
 use crate::build::checkpoint::{Checkpoints, State, Step, chunk_states, held_state, resume_chunks};
 use crate::build::chunk::{ChunkScratch, ChunkSink, build_chunk};
-use crate::build::encode::{FinishedNode, join_ranges};
+use crate::build::encode::FinishedNode;
 use crate::build::in_order::run_in_order;
 use crate::build::node::TreeRules;
+use crate::build::ordered::{Built, OrderedNodes};
 use crate::build::pages::{Page, PageStore};
 use crate::build::partition::{
     ChunkRows, ChunkRowsState, OpenPages, Partition, PartitionShape, split, taken_by_shared_cells,
@@ -20,12 +22,11 @@ use crate::build::plan::{Chunk, Plan};
 use crate::build::progress::{Clock, Progress, Stage};
 use crate::build::rows::{RowLayout, RowTable};
 use crate::build::sources::Sources;
-use crate::build::spanning::Spanning;
+use crate::build::spanning::{ReadyNode, Spanning};
 use crate::build::survey::{HeldPage, Part, Survey};
-use crate::build::work::Work;
 use crate::geometry::MortonKey;
 use crate::input::BlockBuffer;
-use crate::store::{StoreWriter, ValueRange};
+use crate::store::{StoreWriter, ValueRange, WriteHook};
 
 /// What all steps work with.
 pub struct Steps<'a, 'p> {
@@ -39,8 +40,10 @@ pub struct Steps<'a, 'p> {
     pub budget: Budget,
     /// Where rows go.
     pub pages: &'a PageStore<'p>,
-    /// Where node data goes that does not fit memory.
-    pub work: &'a Work,
+    /// The store's place.
+    pub output: &'a Path,
+    /// Called before every write to the store.
+    pub before_write: WriteHook<'a>,
     /// Notes of how far it is.
     pub checkpoints: Checkpoints<'a>,
 }
@@ -53,29 +56,6 @@ pub struct Surveyed<'p> {
     held: Vec<HeldPage<'p>>,
     /// What is left of a killed run that was past reading.
     later: Option<Step>,
-}
-
-/// What building leaves for writing.
-pub struct Built<'a> {
-    /// All nodes.
-    pub writer: StoreWriter<'a>,
-    /// Per attribute of the schema, per component.
-    pub ranges: Vec<Vec<ValueRange>>,
-    /// Points beyond one per finest cell.
-    pub overflow_points: u64,
-}
-
-impl<'a> Built<'a> {
-    /// No nodes yet.
-    pub fn new(writer: StoreWriter<'a>) -> Self {
-        Built { writer, ranges: Vec::new(), overflow_points: 0 }
-    }
-
-    fn add(&mut self, finished: FinishedNode) -> Result<(), BuildError> {
-        join_ranges(&mut self.ranges, &finished.ranges);
-        self.overflow_points += finished.overflow_points;
-        Ok(self.writer.add(finished.node)?)
-    }
 }
 
 /// The chunks of an input and what is in them.
@@ -134,11 +114,21 @@ impl<'a, 'p> Steps<'a, 'p> {
         };
         clock.begin(Stage::Partition, points);
         let chunks = match surveyed.later.take() {
-            Some(Step::Build { done, chunks, rows, pending, nodes, ranges, overflow_points }) => {
+            Some(Step::Build {
+                done,
+                chunks,
+                rows,
+                pending,
+                writer,
+                coarse,
+                ranges,
+                overflow_points,
+            }) => {
                 let mut spanning = self.spanning::<K>(rules, &resume_chunks(&chunks));
                 spanning.resume(done, pending, self.pages)?;
-                let writer =
-                    StoreWriter::resume(self.work, self.budget.node_bytes as usize, nodes)?;
+                let coarse = coarse.into_iter().map(|places| self.pages.read_pieces(places));
+                let coarse = coarse.collect::<Result<_, _>>()?;
+                let writer = StoreWriter::resume(self.output, self.before_write, writer, coarse)?;
                 let built = Built { writer, ranges, overflow_points };
                 let rows = rows.into_iter().map(ChunkRows::resume).collect();
                 let chunks = Chunks { chunks: resume_chunks(&chunks), rows };
@@ -161,7 +151,7 @@ impl<'a, 'p> Steps<'a, 'p> {
         let chunks = self.split_large(chunks, points, shape)?;
         clock.begin(Stage::Build, points);
         let spanning = self.spanning(rules, &chunks.chunks);
-        let writer = StoreWriter::new(self.work, self.budget.node_bytes as usize);
+        let writer = StoreWriter::create(self.output, self.before_write)?;
         self.build_chunks(chunks, 0, spanning, Built::new(writer), surveyed, rules, shape)
     }
 
@@ -305,32 +295,37 @@ impl<'a, 'p> Steps<'a, 'p> {
         let Chunks { chunks, rows } = chunks;
         let taken = taken_by_shared_cells(&chunks, &rows, rules.root_bits, rules.levels);
         let mut rows: Vec<Mutex<ChunkRows>> = rows.into_iter().map(Mutex::new).collect();
-        let (mut spanning, mut built) = (Mutex::new(spanning), Mutex::new(built));
+        let mut spanning = Mutex::new(spanning);
+        let limit = self.budget.node_bytes;
+        let mut ordered = OrderedNodes::new(built, next, rules.root_bits, limit, self.cancelled);
         let mut scratches: Vec<ChunkScratch<K>> = Vec::new();
         scratches.resize_with(self.budget.workers, ChunkScratch::default);
         while next < chunks.len() {
-            let finished = |finished: FinishedNode| -> Result<(), BuildError> {
-                self.progress.advance(u64::from(finished.node.levels.point_count()));
-                built.lock().expect("no holder of the lock panics").add(finished)
-            };
-            let step = |scratch: &mut ChunkScratch<K>, i: usize| {
+            let build = |scratch: &mut ChunkScratch<K>, i: usize| -> Result<(), BuildError> {
+                ordered.wait_for_room(i)?;
                 let stored =
                     std::mem::take(&mut rows[i].lock().expect("each is locked once").pages);
                 let loaded = stored.into_iter().map(|page| self.pages.load(page));
                 let loaded = loaded.collect::<Result<Vec<_>, _>>()?;
                 let slices: Vec<&[u8]> = loaded.iter().map(|page| &**page).collect();
                 let table = RowTable::new(&slices, shape.page_shift, shape.layout);
-                let mut finish = |node| finished(node);
-                let mut sink = ChunkSink { finished: &mut finish, contributions: Vec::new() };
-                build_chunk(rules, &chunks[i], table, &taken[i], scratch, &mut sink)?;
-                let contributions = sink.contributions;
+                let mut sink = ChunkSink::new(self.progress);
+                build_chunk(rules, &chunks[i], table, &taken[i], scratch, &mut sink);
+                let ChunkSink { finished, contributions, .. } = sink;
                 loaded.into_iter().for_each(|page| self.pages.give_back(page));
                 let ready =
                     spanning.lock().expect("no holder of the lock panics").add(i, contributions);
-                for node in ready {
-                    finished(node.finish(rules, shape.layout, &mut scratch.nodes))?;
+                for (chunk, nodes) in ready {
+                    let finish =
+                        |node: ReadyNode| node.finish(rules, shape.layout, &mut scratch.nodes);
+                    let nodes: Vec<FinishedNode> = nodes.into_iter().map(finish).collect();
+                    nodes.iter().for_each(|node| self.progress.advance(node.points()));
+                    ordered.add(chunk, nodes)?;
                 }
-                Ok(())
+                ordered.add(i, finished)
+            };
+            let step = |scratch: &mut ChunkScratch<K>, i: usize| {
+                build(scratch, i).inspect_err(|_| ordered.give_up())
             };
             next = run_in_order(
                 next..chunks.len(),
@@ -341,21 +336,24 @@ impl<'a, 'p> Steps<'a, 'p> {
             )?;
             if self.checkpoints.is_due() && next < chunks.len() {
                 let pending = inner(&mut spanning).state(self.pages)?;
-                let built = inner(&mut built);
+                let built = ordered.built();
+                let (writer, coarse) = built.writer.state()?;
+                let coarse = coarse.into_iter().map(|bytes| self.pages.write_pieces(bytes));
                 let rows = rows.iter_mut().map(|rows| inner(rows).state(self.pages));
                 let step = Step::Build {
                     done: next,
                     chunks: chunk_states(&chunks),
                     rows: rows.collect::<Result<Vec<ChunkRowsState>, _>>()?,
                     pending,
-                    nodes: built.writer.state()?,
+                    writer,
+                    coarse: coarse.collect::<Result<_, _>>()?,
                     ranges: finite_ranges(&built.ranges),
                     overflow_points: built.overflow_points,
                 };
                 self.checkpoints.make(self.pages, &surveyed.survey, step)?;
             }
         }
-        Ok(built.into_inner().expect("no holder of the lock panics"))
+        Ok(ordered.into_built())
     }
 }
 

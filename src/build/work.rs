@@ -14,7 +14,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use crate::build::BuildError;
-use crate::store::{Scratch, lock_at_once};
+use crate::store::lock_at_once;
 
 /// Called before every write to disk; its error is the write's. For tests of full and failing
 /// disks.
@@ -137,19 +137,5 @@ impl Work {
     /// An error of this folder.
     pub fn error(&self, action: &'static str, source: io::Error) -> BuildError {
         BuildError::Temporary { action, source, path: self.folder.clone() }
-    }
-}
-
-impl Scratch for Work {
-    fn file(&self) -> io::Result<File> {
-        Work::file(self, "nodes")
-    }
-
-    fn before_write(&self) -> io::Result<()> {
-        Work::before_write(self)
-    }
-
-    fn path(&self) -> &Path {
-        &self.folder
     }
 }

@@ -54,7 +54,7 @@ pub fn check(path: &Path) -> Result<CheckReport, StoreError> {
         report.findings.push(message);
     }
     let of_sources = account(&store).into_iter().chain(check_appendix(&store));
-    for message in of_sources {
+    for message in of_sources.chain(store.leftovers()) {
         report.findings.push(Finding { node: None, message });
     }
     Ok(report)

@@ -2,9 +2,10 @@
 //!
 //! A column is `count` elements of `components` little-endian integers. Encoding takes each
 //! component's difference to the previous element (optional), splits the result into byte planes
-//! (all lowest bytes first), and compresses the planes as one LZ4 block. If LZ4 does not make it
-//! smaller, the planes are stored as they are; readers tell the two by the length.
+//! (all lowest bytes first), and compresses the planes with LZ4. If LZ4 does not make it smaller,
+//! the planes are stored as they are; readers tell the two by the length.
 //! Decoding gives exactly the bytes that went in; nothing else has to be done to them.
+//! This is done block by block (`blocks`), so that no column has to be in memory as a whole.
 
 /// How the elements of a column are prepared before LZ4.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -43,9 +44,9 @@ pub struct CodecScratch {
     packed: Vec<u8>,
 }
 
-/// Compresses `raw`, whole elements of `shape`, and appends the result to `out`.
+/// Compresses one block, whole elements of `shape`, and appends the result to `out`.
 /// Returns the number of bytes appended.
-pub fn encode(
+pub(super) fn encode(
     shape: ElementShape,
     raw: &[u8],
     scratch: &mut CodecScratch,
@@ -82,7 +83,7 @@ pub fn encode(
 /// Decodes what [`encode`] wrote into `raw`, whose length says how many elements there are.
 ///
 /// Errors say what does not fit; `raw` then holds nothing of use.
-pub fn decode(
+pub(super) fn decode(
     shape: ElementShape,
     stored: &[u8],
     scratch: &mut CodecScratch,

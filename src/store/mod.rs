@@ -1,9 +1,11 @@
 //! The `.esker` file: the only room that knows its bytes.
 //!
-//! Header, metadata, node directory, node data, appendix (`FORMAT.md`). Each node's positions,
+//! Header, node data, metadata, node directory, appendix (`FORMAT.md`). Each node's positions,
 //! colours and further attributes are separate, separately compressed and checksummed sections.
 
 mod account;
+mod blocks;
+mod bytes;
 mod check;
 mod codec;
 mod directory;
@@ -14,11 +16,13 @@ mod reader;
 mod records;
 mod writer;
 
+pub use blocks::encode_section;
+pub use bytes::StoreBytes;
 pub use check::{CheckReport, Finding, check};
-pub use codec::{CodecScratch, ElementShape, Filter, encode as encode_section};
+pub use codec::{CodecScratch, ElementShape, Filter};
 pub use directory::SectionExtent;
 pub use error::{NodeReadError, StoreError};
-pub use header::{HEADER_BYTES, Header, MAGIC, PartExtent, VERSION};
+pub use header::{FoundHeader, HEADER_BYTES, Header, MAGIC, PartExtent, SLOT_BYTES, VERSION};
 pub use metadata::{
     CrsInfo, DroppedPoints, Metadata, NARROW_BITS, PoseInfo, Section, SectionContent, SkippedItems,
     SourceInfo, ValueRange, position_shape, sections_for,
@@ -26,5 +30,6 @@ pub use metadata::{
 pub use reader::{Store, is_store};
 pub use records::RecordError;
 pub use writer::{
-    AppendixPart, EncodedNode, Scratch, StagedState, StoreWriter, lock_at_once, remove_dead_part,
+    AppendixPart, EncodedNode, NodeRow, StoreWriter, WriteHook, WriterState, lock_at_once,
+    remove_dead_part,
 };

@@ -1,12 +1,13 @@
-//! Putting a store together: nodes in any order into a staging area, then the file in one pass.
+//! Writing a store: node data in the order in which nodes come, then what tells where it is.
 //!
-//! The final file is written beside its destination under a temporary name and renamed when it is
-//! complete and on disk, so a store is either whole or not there. Node data is laid down coarse
-//! to fine whatever the order in which it came, so the bytes do not depend on threads or memory.
+//! The file is written beside its destination under a temporary name and renamed when it is
+//! complete and on disk, so a store is either whole or not there. Nodes must come in an order that
+//! depends on nothing but the points, and the bytes then do, too. Coarse nodes are held back and
+//! written last, beside the directory: one read shows the whole cloud.
 
 use std::collections::HashMap;
 use std::fs::{File, OpenOptions, TryLockError};
-use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
+use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use glam::UVec3;
@@ -15,13 +16,15 @@ use serde::{Deserialize, Serialize};
 use crate::geometry::MortonKey;
 use crate::octree::LevelIndex;
 use crate::store::StoreError;
-use crate::store::directory::{self, SectionExtent};
-use crate::store::header::{HEADER_BYTES, Header, PartExtent};
+use crate::store::blocks::SectionWriter;
+use crate::store::codec::{CodecScratch, ElementShape};
+use crate::store::directory::{Row, Rows, SectionExtent};
+use crate::store::header::{HEADER_BYTES, Header, PartExtent, VERSION};
 use crate::store::metadata::Metadata;
 
-/// A node ready to be written: its place in the octree and its encoded sections.
-#[derive(Debug)]
-pub struct EncodedNode {
+/// What the directory says of a node, but for where its data is.
+#[derive(Clone, Debug)]
+pub struct NodeRow {
     /// Depth in the outer octree.
     pub depth: u32,
     /// Cell coordinates at that depth.
@@ -30,48 +33,54 @@ pub struct EncodedNode {
     pub levels: LevelIndex,
     /// Smallest and largest local coordinates of its points.
     pub tight: [UVec3; 2],
+}
+
+/// A node ready to be written.
+#[derive(Debug)]
+pub struct EncodedNode {
+    /// Its place in the octree and its points per level.
+    pub row: NodeRow,
     /// One per section of the store.
     pub sections: Vec<SectionExtent>,
     /// The sections' bytes, one after the other.
     pub bytes: Vec<u8>,
 }
 
-/// Where a node's bytes wait.
-enum Place {
-    Memory(Vec<u8>),
-    File { offset: u64, bytes: u64 },
-}
-
-struct StagedNode {
-    depth: u32,
-    cell: UVec3,
-    levels: LevelIndex,
-    tight: [UVec3; 2],
+/// A node whose place in the file is known, or which is held back.
+#[derive(Debug)]
+struct PlacedNode {
+    row: NodeRow,
     sections: Vec<SectionExtent>,
-    place: Place,
+    /// First byte in the file.
+    offset: u64,
 }
 
-/// A node in the scratch file, as it can be noted down.
+/// A node with its place, as it can be noted down.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct StagedState {
+pub struct PlacedState {
     depth: u32,
     cell: [u32; 3],
     totals: Vec<u32>,
     tight: [[u32; 3]; 2],
     sections: Vec<(u64, u32)>,
     offset: u64,
-    bytes: u64,
 }
 
-/// Where a writer puts node data that does not fit memory.
-pub trait Scratch: Send + Sync {
-    /// The file for node data; asked for once.
-    fn file(&self) -> io::Result<File>;
-    /// Called before every write; an error is the write's.
-    fn before_write(&self) -> io::Result<()>;
-    /// What to name in messages.
-    fn path(&self) -> &Path;
+/// How far a writer is.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct WriterState {
+    end: u64,
+    nodes: Vec<PlacedState>,
+    coarse: Vec<PlacedState>,
 }
+
+/// Called before every write to disk; its error is the write's.
+pub type WriteHook<'a> = &'a (dyn Fn() -> io::Result<()> + Sync);
+
+/// Nodes this deep and no deeper are coarse, if they are small enough to wait in memory.
+const COARSE_DEPTH: u32 = 2;
+/// Most stored bytes of a coarse node: there are at most 73.
+const COARSE_BYTES: usize = 1 << 18;
 
 /// Records of a source file that go into the appendix.
 #[derive(Debug)]
@@ -89,264 +98,298 @@ pub enum AppendixPart {
     },
 }
 
-/// Collects nodes until the store can be written.
+/// Writes a store.
 pub struct StoreWriter<'a> {
-    nodes: Vec<StagedNode>,
-    scratch: &'a dyn Scratch,
-    memory_limit: usize,
-    memory_used: usize,
-    spill: Option<(BufWriter<File>, u64)>,
+    path: PathBuf,
+    part: PartFile,
+    before_write: WriteHook<'a>,
+    end: u64,
+    nodes: Vec<PlacedNode>,
+    coarse: Vec<(PlacedNode, Vec<u8>)>,
 }
 
 impl<'a> StoreWriter<'a> {
-    /// A writer that keeps up to `memory_limit` bytes of node data in memory and the rest in the
-    /// scratch file.
-    pub fn new(scratch: &'a dyn Scratch, memory_limit: usize) -> Self {
-        StoreWriter { nodes: Vec::new(), scratch, memory_limit, memory_used: 0, spill: None }
+    /// A writer of the store that is to be `path`.
+    pub fn create(path: &Path, before_write: WriteHook<'a>) -> Result<Self, StoreError> {
+        let part =
+            PartFile::create(path).map_err(io_error("cannot create a file beside it", path))?;
+        let (nodes, coarse) = (Vec::new(), Vec::new());
+        let end = HEADER_BYTES as u64;
+        Ok(StoreWriter { path: path.into(), part, before_write, end, nodes, coarse })
     }
 
-    /// A writer that goes on where another was when it told its state.
+    /// A writer that goes on where another was when it told its state; `coarse` are the bytes of
+    /// the nodes that it held back.
     pub fn resume(
-        scratch: &'a dyn Scratch,
-        memory_limit: usize,
-        staged: Vec<StagedState>,
+        path: &Path,
+        before_write: WriteHook<'a>,
+        state: WriterState,
+        coarse: Vec<Vec<u8>>,
     ) -> Result<Self, StoreError> {
-        let mut writer = StoreWriter::new(scratch, memory_limit);
-        let mut end = 0;
-        for node in staged {
-            end = end.max(node.offset + node.bytes);
-            let levels = LevelIndex::new(node.totals).map_err(|error| StoreError::Io {
-                action: "cannot go on from what was saved",
-                source: io::Error::other(error.to_string()),
-                path: scratch.path().into(),
+        let part = PartFile::resume(path, state.end)
+            .map_err(io_error("cannot go on with the file beside it", path))?;
+        let node = |node: PlacedState| -> Result<PlacedNode, StoreError> {
+            let levels = LevelIndex::new(node.totals).map_err(|error| {
+                io_error("cannot go on from what was saved", path)(io::Error::other(
+                    error.to_string(),
+                ))
             })?;
             let extent = |(bytes, checksum)| SectionExtent { bytes, checksum };
-            writer.nodes.push(StagedNode {
-                depth: node.depth,
-                cell: node.cell.into(),
-                levels,
-                tight: node.tight.map(UVec3::from),
+            Ok(PlacedNode {
+                row: NodeRow {
+                    depth: node.depth,
+                    cell: node.cell.into(),
+                    levels,
+                    tight: node.tight.map(UVec3::from),
+                },
                 sections: node.sections.into_iter().map(extent).collect(),
-                place: Place::File { offset: node.offset, bytes: node.bytes },
-            });
-        }
-        if end > 0 {
-            let open = || -> io::Result<File> {
-                let mut file = scratch.file()?;
-                file.set_len(end)?;
-                file.seek(SeekFrom::Start(end))?;
-                Ok(file)
-            };
-            let file = open().map_err(|source| writer.scratch_error(source))?;
-            writer.spill = Some((BufWriter::with_capacity(1 << 20, file), end));
-        }
-        Ok(writer)
+                offset: node.offset,
+            })
+        };
+        let nodes = state.nodes.into_iter().map(node).collect::<Result<_, _>>()?;
+        let held = state.coarse.into_iter().map(node).collect::<Result<Vec<_>, _>>()?;
+        let coarse = held.into_iter().zip(coarse).collect();
+        Ok(StoreWriter { path: path.into(), part, before_write, end: state.end, nodes, coarse })
     }
 
-    /// Brings all nodes to the scratch file, on disk, and tells where they are.
-    pub fn state(&mut self) -> Result<Vec<StagedState>, StoreError> {
-        for i in 0..self.nodes.len() {
-            if let Place::Memory(bytes) = &mut self.nodes[i].place {
-                let bytes = std::mem::take(bytes);
-                let place = self.spill(&bytes).map_err(|source| self.scratch_error(source))?;
-                self.nodes[i].place = place;
-            }
-        }
-        self.memory_used = 0;
-        let scratch = self.scratch;
-        if let Some((file, _)) = &mut self.spill {
-            let flushed = scratch
-                .before_write()
-                .and_then(|()| file.flush())
-                .and_then(|()| file.get_ref().sync_data());
-            flushed.map_err(|source| self.scratch_error(source))?;
-        }
-        let state = self.nodes.iter().map(|node| {
-            let Place::File { offset, bytes } = node.place else {
-                unreachable!("all nodes were brought to the file")
-            };
-            StagedState {
-                depth: node.depth,
-                cell: node.cell.to_array(),
-                totals: node.levels.totals().to_vec(),
-                tight: node.tight.map(|corner| corner.to_array()),
-                sections: node.sections.iter().map(|s| (s.bytes, s.checksum)).collect(),
-                offset,
-                bytes,
-            }
-        });
-        Ok(state.collect())
+    /// Whether what a killed writer left is still there.
+    pub fn can_resume(path: &Path, state: &WriterState) -> bool {
+        let facts = part_path(path).and_then(|path| std::fs::metadata(path).ok());
+        facts.is_some_and(|facts| facts.len() >= state.end)
     }
 
-    fn scratch_error(&self, source: io::Error) -> StoreError {
-        let path = self.scratch.path().into();
-        StoreError::Io { action: "cannot write temporary node data", source, path }
+    /// How far it is, and the bytes of the nodes that it holds back. Everything else is on disk.
+    pub fn state(&self) -> Result<(WriterState, Vec<&[u8]>), StoreError> {
+        (self.before_write)()
+            .and_then(|()| self.part.file.sync_data())
+            .map_err(io_error("cannot write", &self.path))?;
+        let placed = |node: &PlacedNode| PlacedState {
+            depth: node.row.depth,
+            cell: node.row.cell.to_array(),
+            totals: node.row.levels.totals().to_vec(),
+            tight: node.row.tight.map(|corner| corner.to_array()),
+            sections: node.sections.iter().map(|s| (s.bytes, s.checksum)).collect(),
+            offset: node.offset,
+        };
+        let state = WriterState {
+            end: self.end,
+            nodes: self.nodes.iter().map(placed).collect(),
+            coarse: self.coarse.iter().map(|(node, _)| placed(node)).collect(),
+        };
+        Ok((state, self.coarse.iter().map(|(_, bytes)| bytes.as_slice()).collect()))
     }
 
     /// Nodes taken so far.
     pub fn node_count(&self) -> u64 {
-        self.nodes.len() as u64
+        (self.nodes.len() + self.coarse.len()) as u64
     }
 
-    /// Bytes that went to the scratch file so far.
-    pub fn spilled_bytes(&self) -> u64 {
-        self.spill.as_ref().map_or(0, |(_, bytes)| *bytes)
-    }
-
-    /// Takes a node, in any order.
+    /// Takes the next node.
     pub fn add(&mut self, node: EncodedNode) -> Result<(), StoreError> {
-        let EncodedNode { depth, cell, levels, tight, sections, bytes } = node;
-        let place = if self.memory_used + bytes.len() <= self.memory_limit {
-            self.memory_used += bytes.len();
-            Place::Memory(bytes.into_boxed_slice().into_vec())
-        } else {
-            self.spill(&bytes).map_err(|source| self.scratch_error(source))?
-        };
-        self.nodes.push(StagedNode { depth, cell, levels, tight, sections, place });
+        let EncodedNode { row, sections, bytes } = node;
+        let offset = self.end;
+        let node = PlacedNode { row, sections, offset };
+        if node.row.depth <= COARSE_DEPTH && bytes.len() <= COARSE_BYTES {
+            self.coarse.push((node, bytes.into_boxed_slice().into_vec()));
+            return Ok(());
+        }
+        self.append(&bytes)?;
+        self.nodes.push(node);
         Ok(())
     }
 
-    fn spill(&mut self, bytes: &[u8]) -> io::Result<Place> {
-        let (file, end) = match &mut self.spill {
-            Some(spill) => spill,
-            empty => {
-                let file = self.scratch.file()?;
-                file.set_len(0)?;
-                empty.insert((BufWriter::with_capacity(1 << 20, file), 0))
-            }
-        };
-        self.scratch.before_write()?;
-        file.write_all(bytes)?;
-        let place = Place::File { offset: *end, bytes: bytes.len() as u64 };
-        *end += bytes.len() as u64;
-        Ok(place)
+    fn append(&mut self, bytes: &[u8]) -> Result<(), StoreError> {
+        (self.before_write)()
+            .and_then(|()| self.part.file.write_all(bytes))
+            .map_err(io_error("cannot write", &self.path))?;
+        self.end += bytes.len() as u64;
+        Ok(())
     }
 
-    /// Writes the store under `path`; an existing file is replaced only if `overwrite`.
+    /// Takes the next node column by column and block by block, so that none of it has to be in
+    /// memory as a whole. `block` fills its last argument with elements of a section, given by its
+    /// number, from the element given on, so many.
+    pub fn add_in_blocks<E: From<StoreError>>(
+        &mut self,
+        row: NodeRow,
+        shapes: &[ElementShape],
+        mut block: impl FnMut(usize, usize, usize, &mut Vec<u8>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let points = row.levels.point_count() as usize;
+        let offset = self.end;
+        let mut sections = Vec::with_capacity(shapes.len());
+        let (mut raw, mut stored) = (Vec::new(), Vec::new());
+        let mut scratch = CodecScratch::default();
+        for (i, &shape) in shapes.iter().enumerate() {
+            let mut section = SectionWriter::new(shape, points);
+            let table_start = self.end;
+            stored.clear();
+            stored.resize(section.table_bytes(), 0);
+            for first in (0..points).step_by(shape.block_elements()) {
+                let count = shape.block_elements().min(points - first);
+                block(i, first, count, &mut raw)?;
+                section.block(&raw, &mut scratch, &mut stored);
+                self.append(&stored)?;
+                stored.clear();
+            }
+            let (table, extent) = section.finish();
+            if !table.is_empty() {
+                self.put_back(table_start, &table)?;
+            }
+            sections.push(extent);
+        }
+        self.nodes.push(PlacedNode { row, sections, offset });
+        Ok(())
+    }
+
+    /// Writes over bytes that are there already.
+    fn put_back(&mut self, offset: u64, bytes: &[u8]) -> Result<(), StoreError> {
+        let mut file = &self.part.file;
+        (self.before_write)()
+            .and_then(|()| file.seek(SeekFrom::Start(offset)))
+            .and_then(|_| file.write_all(bytes))
+            .and_then(|()| file.seek(SeekFrom::Start(self.end)))
+            .map_err(io_error("cannot write", &self.path))?;
+        Ok(())
+    }
+
+    /// Completes the store and gives it its name; an existing file is replaced only if `overwrite`.
     /// Returns its length in bytes.
     pub fn finish(
         mut self,
-        path: &Path,
         metadata: &Metadata,
         appendix: &[AppendixPart],
         overwrite: bool,
     ) -> Result<u64, StoreError> {
-        self.nodes.sort_by_cached_key(|node| (node.depth, u128::encode(node.cell.to_array())));
-        let directory = self.directory_bytes();
-        let metadata_bytes =
-            serde_json::to_vec(metadata).expect("metadata has no maps with foreign keys");
-        let data_bytes: u64 =
-            self.nodes.iter().flat_map(|node| &node.sections).map(|section| section.bytes).sum();
-        let appendix_bytes = appendix
-            .iter()
-            .map(|part| match part {
-                AppendixPart::Bytes(bytes) => bytes.len() as u64,
-                AppendixPart::FileRange { bytes, .. } => *bytes,
-            })
-            .sum::<u64>();
-        let part = |offset: u64, bytes: &[u8]| PartExtent {
-            offset,
-            bytes: bytes.len() as u64,
-            checksum: crc32c::crc32c(bytes),
+        let coarse_start = self.place_coarse()?;
+        let data_bytes = self.end - HEADER_BYTES as u64;
+        let parts = EndParts { metadata, appendix, coarse_start, data_bytes, generation: 1 };
+        let before_write = self.before_write;
+        let header = write_end(&self.part.file, self.end, &mut self.nodes, &parts, before_write)
+            .map_err(io_error("cannot write", &self.path))?;
+        let complete = || -> io::Result<()> {
+            before_write()?;
+            let mut file = &self.part.file;
+            file.seek(SeekFrom::Start(0))?;
+            file.write_all(&header.encode())?;
+            before_write()?;
+            file.sync_all()
         };
-        let metadata_part = part(HEADER_BYTES as u64, &metadata_bytes);
-        let directory_part = part(metadata_part.offset + metadata_part.bytes, &directory);
-        let data_offset = directory_part.offset + directory_part.bytes;
-        let appendix_offset = data_offset + data_bytes;
-        let mut header = Header {
-            file_bytes: appendix_offset + appendix_bytes,
-            metadata: metadata_part,
-            directory: directory_part,
-            node_count: self.nodes.len() as u32,
-            appendix: PartExtent { offset: appendix_offset, bytes: appendix_bytes, checksum: 0 },
-            data_offset,
-            data_bytes,
-            point_count: metadata.points,
-        };
-
-        let io_error =
-            |action| move |source| StoreError::Io { action, source, path: path.to_path_buf() };
-        let part = PartFile::create(path).map_err(io_error("cannot create a file beside it"))?;
-        let mut out = BufWriter::with_capacity(1 << 20, &part.file);
-        let scratch = self.scratch;
-        let mut write = |out: &mut BufWriter<&File>| -> io::Result<()> {
-            scratch.before_write()?;
-            out.write_all(&header.encode())?;
-            out.write_all(&metadata_bytes)?;
-            out.write_all(&directory)?;
-            self.copy_nodes(out)?;
-            header.appendix.checksum = copy_appendix(appendix, out)?;
-            scratch.before_write()?;
-            out.seek(SeekFrom::Start(0))?;
-            out.write_all(&header.encode())?;
-            out.flush()?;
-            scratch.before_write()?;
-            part.file.sync_all()
-        };
-        write(&mut out).map_err(io_error("cannot write"))?;
-        drop(out);
-        part.rename(path, overwrite).map_err(io_error("cannot give it its name"))?;
+        complete().map_err(io_error("cannot write", &self.path))?;
+        self.part
+            .rename(&self.path, overwrite)
+            .map_err(io_error("cannot give it its name", &self.path))?;
         Ok(header.file_bytes)
     }
 
-    fn directory_bytes(&self) -> Vec<u8> {
-        let index: HashMap<(u32, UVec3), usize> =
-            self.nodes.iter().enumerate().map(|(i, node)| ((node.depth, node.cell), i)).collect();
-        let mut masks = vec![0u8; self.nodes.len()];
-        for node in self.nodes.iter().filter(|node| node.depth > 0) {
-            let parent = index
-                .get(&(node.depth - 1, node.cell / 2))
-                .expect("a node's parent is written with it");
-            let octant = node.cell.x & 1 | (node.cell.y & 1) << 1 | (node.cell.z & 1) << 2;
-            masks[*parent] |= 1 << octant;
+    /// Writes the nodes that were held back, coarse to fine; returns where they start.
+    fn place_coarse(&mut self) -> Result<u64, StoreError> {
+        let start = self.end;
+        let mut coarse = std::mem::take(&mut self.coarse);
+        coarse.sort_by_cached_key(|(node, _)| node.order());
+        for (mut node, bytes) in coarse {
+            node.offset = self.end;
+            self.append(&bytes)?;
+            self.nodes.push(node);
         }
-        let mut rows = Vec::new();
-        for (node, mask) in self.nodes.iter().zip(masks) {
-            let totals = node.levels.totals();
-            directory::encode_row(
-                node.depth,
-                node.cell,
-                mask,
-                node.tight,
-                totals,
-                &node.sections,
-                &mut rows,
-            );
-        }
-        rows
-    }
-
-    fn copy_nodes(&mut self, out: &mut impl Write) -> io::Result<()> {
-        let mut spill = match self.spill.take() {
-            Some((file, _)) => Some(file.into_inner().map_err(|error| error.into_error())?),
-            None => None,
-        };
-        let mut buffer = Vec::new();
-        for node in &mut self.nodes {
-            match &mut node.place {
-                Place::Memory(bytes) => {
-                    self.scratch.before_write()?;
-                    out.write_all(&std::mem::take(bytes))?;
-                }
-                Place::File { offset, bytes } => {
-                    let file = spill.as_mut().expect("spilled nodes have a spill file");
-                    buffer.resize(*bytes as usize, 0);
-                    file.seek(SeekFrom::Start(*offset))?;
-                    file.read_exact(&mut buffer)?;
-                    self.scratch.before_write()?;
-                    out.write_all(&buffer)?;
-                }
-            }
-        }
-        Ok(())
+        Ok(start)
     }
 }
 
-/// Copies all parts and returns the checksum of what was written.
-fn copy_appendix(parts: &[AppendixPart], out: &mut impl Write) -> io::Result<u32> {
-    let mut checksum = 0;
+impl PlacedNode {
+    /// The order of rows: by depth, then Morton order of the cell.
+    fn order(&self) -> (u32, u128) {
+        (self.row.depth, u128::encode(self.row.cell.to_array()))
+    }
+}
+
+fn io_error(action: &'static str, path: &Path) -> impl Fn(io::Error) -> StoreError {
+    move |source| StoreError::Io { action, source, path: path.to_path_buf() }
+}
+
+/// What stands behind the node data.
+struct EndParts<'a> {
+    metadata: &'a Metadata,
+    appendix: &'a [AppendixPart],
+    /// Where the coarse nodes start.
+    coarse_start: u64,
+    /// Bytes of all nodes.
+    data_bytes: u64,
+    generation: u32,
+}
+
+/// Writes metadata, directory and appendix from `start` on, where the file's cursor is. Returns
+/// the header that makes them the store's.
+fn write_end(
+    mut file: &File,
+    start: u64,
+    nodes: &mut [PlacedNode],
+    parts: &EndParts,
+    before_write: WriteHook,
+) -> io::Result<Header> {
+    nodes.sort_by_cached_key(PlacedNode::order);
+    let metadata_bytes = serde_json::to_vec(parts.metadata)?;
+    let directory = directory_bytes(nodes, parts.metadata);
+    let part = |offset: u64, bytes: &[u8]| PartExtent {
+        offset,
+        bytes: bytes.len() as u64,
+        checksum: crc32c::crc32c(bytes),
+    };
+    let metadata = part(start, &metadata_bytes);
+    let directory_part = part(metadata.offset + metadata.bytes, &directory);
+    let appendix_offset = directory_part.offset + directory_part.bytes;
+    before_write()?;
+    file.write_all(&metadata_bytes)?;
+    file.write_all(&directory)?;
+    let (appendix_bytes, checksum) = copy_appendix(parts.appendix, &mut file)?;
+    Ok(Header {
+        version: VERSION,
+        generation: parts.generation,
+        file_bytes: appendix_offset + appendix_bytes,
+        metadata,
+        directory: directory_part,
+        node_count: nodes.len() as u32,
+        appendix: PartExtent { offset: appendix_offset, bytes: appendix_bytes, checksum },
+        data_offset: parts.coarse_start,
+        data_bytes: parts.data_bytes,
+        point_count: parts.metadata.points,
+    })
+}
+
+/// All rows; nodes stand in their order.
+fn directory_bytes(nodes: &[PlacedNode], metadata: &Metadata) -> Vec<u8> {
+    let place = |node: &PlacedNode| (node.row.depth, node.row.cell);
+    let index: HashMap<(u32, UVec3), usize> =
+        nodes.iter().enumerate().map(|(i, node)| (place(node), i)).collect();
+    let mut masks = vec![0u8; nodes.len()];
+    for NodeRow { depth, cell, .. } in nodes.iter().map(|node| &node.row).filter(|r| r.depth > 0) {
+        let parent = index.get(&(depth - 1, cell / 2)).expect("a node's parent is written with it");
+        masks[*parent] |= 1 << (cell.x & 1 | (cell.y & 1) << 1 | (cell.z & 1) << 2);
+    }
+    let section_count = metadata.sections.len();
+    let shape = Rows { version: VERSION, depth: metadata.depth, section_count };
+    let mut rows = Vec::with_capacity(nodes.len() * shape.row_bytes());
+    for (PlacedNode { row, sections, offset }, child_mask) in nodes.iter().zip(masks) {
+        let row = Row {
+            depth: row.depth,
+            cell: row.cell,
+            child_mask,
+            tight: row.tight,
+            offset: *offset,
+            totals: row.levels.totals(),
+            sections,
+        };
+        shape.encode(row, &mut rows);
+    }
+    rows
+}
+
+/// Copies all parts; returns the length and the checksum of what was written.
+fn copy_appendix(parts: &[AppendixPart], out: &mut impl Write) -> io::Result<(u64, u32)> {
+    let (mut written, mut checksum) = (0, 0);
     let mut put = |bytes: &[u8]| {
         checksum = crc32c::crc32c_append(checksum, bytes);
+        written += bytes.len() as u64;
         out.write_all(bytes)
     };
     for part in parts {
@@ -366,7 +409,7 @@ fn copy_appendix(parts: &[AppendixPart], out: &mut impl Write) -> io::Result<u32
             }
         }
     }
-    Ok(checksum)
+    Ok((written, checksum))
 }
 
 /// Locks a file, or says that another process has it.
@@ -393,7 +436,7 @@ fn part_path(destination: &Path) -> Option<PathBuf> {
 }
 
 /// A file being written beside its destination. Its name follows from the destination's, so that
-/// what a killed run left is found and written over; a lock keeps two runs apart.
+/// what a killed run left is found, to go on with or to remove; a lock keeps two runs apart.
 struct PartFile {
     file: File,
     path: PathBuf,
@@ -404,8 +447,22 @@ impl PartFile {
         let path = part_path(destination).ok_or(io::ErrorKind::InvalidInput)?;
         // What a killed run left may be a second name of the destination: never written to.
         PartFile::remove_dead(&path)?;
-        let file = OpenOptions::new().create_new(true).read(true).write(true).open(&path)?;
+        let mut file = OpenOptions::new().create_new(true).read(true).write(true).open(&path)?;
         file.lock()?;
+        file.write_all(&[0; HEADER_BYTES])?;
+        Ok(PartFile { file, path })
+    }
+
+    /// The file that a killed run left, cut to what is known to be right.
+    fn resume(destination: &Path, bytes: u64) -> io::Result<Self> {
+        let path = part_path(destination).ok_or(io::ErrorKind::InvalidInput)?;
+        let mut file = OpenOptions::new().read(true).write(true).open(&path)?;
+        lock_at_once(&file)?;
+        if file.metadata()?.len() < bytes {
+            return Err(io::ErrorKind::UnexpectedEof.into());
+        }
+        file.set_len(bytes)?;
+        file.seek(SeekFrom::Start(bytes))?;
         Ok(PartFile { file, path })
     }
 
@@ -426,18 +483,11 @@ impl PartFile {
             return std::fs::rename(&self.path, destination);
         }
         match std::fs::hard_link(&self.path, destination) {
-            Ok(()) => Ok(()),
+            Ok(()) => std::fs::remove_file(&self.path),
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Err(error),
             // Not every file system has links.
             Err(_) if destination.exists() => Err(io::ErrorKind::AlreadyExists.into()),
             Err(_) => std::fs::rename(&self.path, destination),
         }
-    }
-}
-
-impl Drop for PartFile {
-    fn drop(&mut self) {
-        // It is gone already if it got its name by renaming.
-        let _ = std::fs::remove_file(&self.path);
     }
 }

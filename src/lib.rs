@@ -2,6 +2,7 @@
 //!
 //! `ARCHITECTURE.md` tells how the rooms fit; `FORMAT.md` gives the store byte by byte.
 
+pub mod budget;
 pub mod build;
 pub mod commands;
 pub mod frame;

@@ -24,7 +24,9 @@ const UTM: DVec3 = DVec3::new(5e5, 5e6, 500.0);
 /// Every path that this machine has.
 fn paths() -> Vec<RasterPath> {
     match gpu() {
-        Some(_) => vec![RasterPath::Cpu, RasterPath::Compute, RasterPath::Raster],
+        Some(_) => {
+            vec![RasterPath::Cpu, RasterPath::Compute, RasterPath::Compute32, RasterPath::Raster]
+        }
         None => vec![RasterPath::Cpu],
     }
 }
@@ -170,6 +172,9 @@ fn draws_are_few() {
                 // One shard of narrow nodes: those of single pixels, and the others.
                 RasterPath::Compute => {
                     assert!(stats.dispatches <= 2 && stats.draw_calls == 1, "{stats:?}");
+                }
+                RasterPath::Compute32 => {
+                    assert!(stats.dispatches <= 4 && stats.draw_calls == 1, "{stats:?}");
                 }
                 RasterPath::Raster => assert_eq!(stats.draw_calls, stats.nodes_drawn),
             }

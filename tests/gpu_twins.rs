@@ -1,4 +1,4 @@
-//! The three ways to draw points give the same picture, on seeded clouds of ragged sizes, for
+//! The four ways to draw points give the same picture, on seeded clouds of ragged sizes, for
 //! every splat policy, for narrow and wide nodes. What may differ is which of several points at
 //! the same depth wins, and then only between the rasterizer and the others.
 #![cfg(feature = "gpu")]
@@ -13,9 +13,9 @@ use std::sync::Arc;
 use device::gpu;
 use esker::frame::{FrameSettings, NodeSource, RasterPath, Renderer};
 use esker::geometry::{Camera, View};
-use esker::passes::Picture;
+use esker::passes::{EyeDome, FinishSettings, Picture};
 use esker::points::Lattice;
-use esker::select::SplatPolicy;
+use esker::select::{SplatDrawing, SplatPolicy, SplatShape, SplatSize};
 use glam::{DVec3, UVec3};
 use memory_cloud::MemoryCloud;
 
@@ -101,7 +101,7 @@ fn assert_same_picture(expected: &Picture, picture: &Picture, what: &str) {
     }
 }
 
-const PATHS: [RasterPath; 2] = [RasterPath::Compute, RasterPath::Raster];
+const PATHS: [RasterPath; 3] = [RasterPath::Compute, RasterPath::Compute32, RasterPath::Raster];
 
 #[test]
 fn all_paths_draw_the_same_picture() {
@@ -132,4 +132,116 @@ fn all_paths_draw_the_same_picture() {
             }
         }
     }
+}
+
+/// A cloud on screen as few pixels and many, from near, far and inside.
+const EYES: [[f64; 3]; 3] = [[0.0, -14.0, 3.0], [0.3, 0.2, 0.4], [30.0, 20.0, 90.0]];
+
+#[test]
+fn all_sizes_and_shapes_are_the_same_on_all_paths() {
+    if gpu().is_none() {
+        return;
+    }
+    let cloud = Arc::new(cloud(6_000, 18, 5, 11));
+    let sizes = [
+        SplatSize::Adaptive,
+        SplatSize::Fixed { px: 2.0 },
+        SplatSize::Fixed { px: 7.0 },
+        SplatSize::Attenuated { length: 0.12 },
+    ];
+    for eye in EYES {
+        let view = view(201, 133, eye);
+        for size in sizes {
+            for shape in SplatShape::ALL {
+                let mut settings = settings(SplatPolicy::PerPoint, 3.0);
+                (settings.cut.splat.size, settings.cut.splat.shape) = (size, shape);
+                settings.cut.splat.max_px = 11.0;
+                let expected = draw(RasterPath::Cpu, &cloud, &view, &settings);
+                assert!(expected.covered() > 100, "{eye:?}: something is seen");
+                for path in PATHS {
+                    for drawing in [SplatDrawing::OneByOne, SplatDrawing::Grown] {
+                        settings.cut.splat.drawing = drawing;
+                        let picture = draw(path, &cloud, &view, &settings);
+                        let what = format!("{size:?}, {shape:?}, {drawing:?}, {path:?}, {eye:?}");
+                        assert_same_picture(&expected, &picture, &what);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Growing is taken where it was asked for and possible, and only there.
+#[test]
+fn growing_runs_where_it_can() {
+    let Some(gpu) = gpu() else { return };
+    let cloud = Arc::new(cloud(2_000, 18, 5, 11));
+    let view = view(200, 130, EYES[0]);
+    let dispatches = |size, shape, drawing| {
+        let mut renderer =
+            Renderer::on_gpu(gpu.clone(), RasterPath::Compute, 1 << 30).expect("a device");
+        renderer.set_scene(vec![cloud.clone() as Arc<dyn NodeSource>]);
+        let mut settings = settings(SplatPolicy::PerPoint, 3.0);
+        let splat = &mut settings.cut.splat;
+        (splat.size, splat.shape, splat.drawing) = (size, shape, drawing);
+        renderer.render(&view, &settings).unwrap().dispatches
+    };
+    let (five, one) = (SplatSize::Fixed { px: 5.0 }, SplatSize::Fixed { px: 1.0 });
+    let (square, round, sphere) = (SplatShape::Square, SplatShape::Round, SplatShape::Sphere);
+    assert_eq!(dispatches(five, square, SplatDrawing::OneByOne), 1);
+    assert_eq!(dispatches(five, square, SplatDrawing::Grown), 3, "rows and columns");
+    assert_eq!(dispatches(five, round, SplatDrawing::Grown), 2, "one pass over squares");
+    assert_eq!(dispatches(five, sphere, SplatDrawing::Grown), 1, "depth differs within a ball");
+    assert_eq!(dispatches(one, square, SplatDrawing::Grown), 1, "single pixels are done");
+    let adaptive = dispatches(SplatSize::Adaptive, square, SplatDrawing::Grown);
+    assert!(adaptive <= 2, "sizes differ from node to node");
+    assert_eq!(dispatches(five, square, SplatDrawing::Auto), 1, "few points do not pay");
+}
+
+/// Finished pictures are the same; a pass runs only for what is switched on.
+#[test]
+fn finishing_is_the_same_on_all_paths_and_nothing_when_off() {
+    let Some(gpu) = gpu() else { return };
+    let cloud = Arc::new(cloud(4_000, 18, 5, 12));
+    let eye_dome = Some(EyeDome { strength: 1.5, radius_px: 2 });
+    let cases = [
+        (FinishSettings { gap_radius_px: 0, eye_dome: None }, 0),
+        (FinishSettings { gap_radius_px: 2, eye_dome: None }, 1),
+        (FinishSettings { gap_radius_px: 0, eye_dome }, 1),
+        (FinishSettings { gap_radius_px: 3, eye_dome }, 2),
+    ];
+    for eye in EYES {
+        let view = view(201, 133, eye);
+        let mut pictures = Vec::new();
+        for (finish, passes) in cases {
+            let mut settings = settings(SplatPolicy::PerPoint, 3.0);
+            settings.cut.splat.max_px = 1.0;
+            settings.finish = finish;
+            let expected = draw(RasterPath::Cpu, &cloud, &view, &settings);
+            for path in PATHS {
+                let mut renderer = Renderer::on_gpu(gpu.clone(), path, 1 << 30).expect("a device");
+                renderer.set_scene(vec![cloud.clone() as Arc<dyn NodeSource>]);
+                let draw_calls = renderer.render(&view, &settings).unwrap().draw_calls;
+                let nodes = renderer.stats().nodes_drawn;
+                let points = if path == RasterPath::Raster { nodes } else { 1 };
+                assert_eq!(draw_calls, points + passes, "{path:?} {finish:?}");
+                let picture = renderer.read_picture().unwrap().expect("drawn");
+                assert_finished(&expected, &picture, &format!("{path:?} {finish:?} {eye:?}"));
+            }
+            pictures.push(expected);
+        }
+        assert!(pictures[1].covered() > pictures[0].covered(), "gaps were filled");
+        assert!(pictures[2].colors != pictures[0].colors, "edges were shaded");
+    }
+}
+
+/// Like [`assert_same_picture`], where a tie in depth may change the colours around it.
+fn assert_finished(expected: &Picture, picture: &Picture, what: &str) {
+    let differs = |&i: &usize| {
+        let (a, b) = (expected.colors[i].to_le_bytes(), picture.colors[i].to_le_bytes());
+        (0..4).any(|c| a[c].abs_diff(b[c]) > 1)
+    };
+    let differing = (0..expected.colors.len()).filter(differs).count();
+    let share = differing as f64 / expected.colors.len() as f64;
+    assert!(share <= 0.001, "{what}: {differing} pixels differ");
 }

@@ -37,7 +37,11 @@ fn displacement(scan: &Scan, offset: DVec3, view_at_origin: &View) -> Displaceme
     let cut = select_nodes(&scan.octree, &view, &settings, &AllResident, scratch);
     let place = |_| NodePlace::default();
     let mut table = DrawTable::default();
-    table.fill(&[CloudDraw { octree: &scan.octree, cut: &cut, place: &place }], &view, &splat);
+    table.fill(
+        &[CloudDraw { octree: &scan.octree, cut: &cut, place: &place, appeared: None }],
+        &view,
+        &splat,
+    );
     let frame = Tile::whole(&view).gpu_frame(&view, &splat, 0);
     let root = scan.octree.root_cube().min.as_dvec3();
     let mut displacement = Displacement::default();

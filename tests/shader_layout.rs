@@ -3,7 +3,7 @@
 #![cfg(feature = "gpu")]
 
 use esker::gpu::layout::{STRUCTS, StructLayout};
-use esker::gpu::shader::{AtomicRead, SHADERS, source};
+use esker::gpu::shader::{PixelAtomics, SHADERS, source};
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 
 fn parse(name: &str, text: &str) -> naga::Module {
@@ -15,8 +15,8 @@ fn parse(name: &str, text: &str) -> naga::Module {
 fn every_shader_is_valid() {
     let capabilities = Capabilities::SHADER_INT64 | Capabilities::SHADER_INT64_ATOMIC_MIN_MAX;
     for name in SHADERS {
-        for atomic_read in [AtomicRead::Load, AtomicRead::Unknown] {
-            let text = source(name, atomic_read);
+        for atomics in [PixelAtomics::Wide, PixelAtomics::WideUnread, PixelAtomics::Narrow] {
+            let text = source(name, atomics);
             let module = parse(name, &text);
             let validated = Validator::new(ValidationFlags::all(), capabilities).validate(&module);
             assert!(validated.is_ok(), "{name}: {}", validated.unwrap_err().emit_to_string(&text));
@@ -28,7 +28,7 @@ fn every_shader_is_valid() {
 fn shared_structs_are_laid_out_as_in_rust() {
     let mut checked = Vec::new();
     for name in SHADERS {
-        let module = parse(name, &source(name, AtomicRead::Load));
+        let module = parse(name, &source(name, PixelAtomics::Wide));
         for (_, ty) in module.types.iter() {
             let naga::TypeInner::Struct { members, span } = &ty.inner else { continue };
             let wgsl_name = ty.name.as_deref().expect("WGSL structs have names");

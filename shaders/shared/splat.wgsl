@@ -2,6 +2,7 @@
 // In: nodes, words (shared/scene). Twin: passes::splat. Test: tests/gpu_twins.rs.
 // Every operation stands here in the order in which the twin does it, so that pixels agree.
 #import shared/scene
+#import shared/splat_shape
 
 // Whether the nodes drawn hold three coordinates per point, else a Morton code. Fixed per pipeline,
 // so that no point pays for asking.
@@ -70,10 +71,26 @@ fn splat_px(slot: u32, node: GpuNode, cell: vec3<u32>, w: f32) -> f32 {
         deepest = select(deepest, child, is_drawn);
         bit = select(bit, bit - 1u, is_drawn);
     }
-    return ceil(clamp(nodes[deepest].splat_px_m / w, 1.0, frame.max_splat_px));
+    return splat_side(nodes[deepest].splat_px_m, w);
+}
+
+// Whether a point is drawn of a node of which only a share is.
+fn is_kept(node: GpuNode, point: u32) -> bool {
+    return point < node.whole_count || scramble(point) < node.kept_share;
+}
+
+// A number that looks random; another for each point of a node, the same in each frame.
+fn scramble(point: u32) -> u32 {
+    var x = point * 0x9e3779b1u;
+    x = (x ^ (x >> 15u)) * 0x85ebca77u;
+    x = (x ^ (x >> 13u)) * 0xc2b2ae3du;
+    return x ^ (x >> 16u);
 }
 
 // First column and row of the square of `size` pixels a side around a point.
 fn splat_corner(center: vec2<f32>, size: f32) -> vec2<i32> {
+    if frame.nested_splats != 0u {
+        return vec2<i32>(floor(center) - vec2<f32>(floor(0.5 * size - 0.5)));
+    }
     return vec2<i32>(floor(center - vec2<f32>(0.5 * size - 0.5)));
 }

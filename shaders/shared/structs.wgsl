@@ -10,6 +10,14 @@ struct GpuFrame {
     max_splat_px: f32,
     per_point_splats: u32,
     background: u32,
+    min_splat_px: f32,
+    nested_splats: u32,
+    splat_shape: u32,
+    pixel_m: f32,
+    shared_splat_px_m: f32,
+    grow_margin_px: u32,
+    padding_0: u32,
+    padding_1: u32,
 }
 
 struct GpuNode {
@@ -23,6 +31,10 @@ struct GpuNode {
     drawn_count: u32,
     drawn_children: u32,
     drawn_levels_below: u32,
+    whole_count: u32,
+    kept_share: u32,
+    padding_0: u32,
+    padding_1: u32,
 }
 
 struct GpuBatch {

@@ -81,10 +81,12 @@ pub struct RenderArgs {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum RendererChoice {
-    /// compute where the adapter can, else raster, else cpu
+    /// The first of these that the adapter can
     Auto,
     /// Compute shaders with 64-bit atomics
     Compute,
+    /// Compute shaders with 32-bit atomics, in two passes
+    Compute32,
     /// The rasterizer
     Raster,
     /// All cores, no adapter
@@ -93,12 +95,13 @@ pub(super) enum RendererChoice {
 
 impl RendererChoice {
     /// The path that was asked for; none leaves it to the adapter.
-    #[cfg(feature = "viewer")]
+    #[cfg(feature = "gpu")]
     pub(super) fn path(self) -> Option<crate::frame::RasterPath> {
         use crate::frame::RasterPath;
         match self {
             RendererChoice::Auto => None,
             RendererChoice::Compute => Some(RasterPath::Compute),
+            RendererChoice::Compute32 => Some(RasterPath::Compute32),
             RendererChoice::Raster => Some(RasterPath::Raster),
             RendererChoice::Cpu => Some(RasterPath::Cpu),
         }
@@ -215,11 +218,9 @@ fn open_renderer(
     }
     let opened = Gpu::open().map_err(anyhow::Error::from).and_then(|gpu| {
         let gpu = Arc::new(gpu);
-        let path = match choice {
-            RendererChoice::Raster => RasterPath::Raster,
-            RendererChoice::Auto if !gpu.draws_by_compute() => RasterPath::Raster,
-            _ => RasterPath::Compute,
-        };
+        let offered = RasterPath::offered_by(&gpu);
+        let best = offered.first().copied().unwrap_or(RasterPath::Raster);
+        let path = choice.path().unwrap_or(best);
         let description = gpu.description();
         Ok((Renderer::on_gpu(gpu, path, limit_bytes)?, Some(description)))
     });

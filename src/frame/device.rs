@@ -8,8 +8,13 @@ use crate::geometry::View;
 #[cfg(feature = "gpu")]
 use crate::gpu::{Gpu, GpuError, PassTimer, WordArena};
 #[cfg(feature = "gpu")]
-use crate::passes::{DrawCounts, DrawTable, PointDrawing, PointsCompute, PointsRaster, Targets};
+use crate::passes::{
+    DrawCounts, DrawTable, Finish, FinishSettings, PointDrawing, PointsCompute, PointsRaster,
+    Targets,
+};
 use crate::passes::{Picture, PointsCpu};
+#[cfg(feature = "gpu")]
+use crate::select::SplatDrawing;
 
 /// Where points are drawn.
 pub(super) enum Device {
@@ -28,12 +33,13 @@ pub(super) struct OnGpu {
     pub(super) pass: GpuPass,
     pub(super) timer: PassTimer,
     pub(super) targets: Option<Targets>,
+    pub(super) finish: Finish,
 }
 
 /// The pass that draws points there.
 #[cfg(feature = "gpu")]
 pub(super) enum GpuPass {
-    Compute(PointsCompute),
+    Compute(Box<PointsCompute>),
     Raster(PointsRaster),
 }
 #[cfg(feature = "gpu")]
@@ -43,6 +49,8 @@ impl OnGpu {
         frame: &crate::gpu::layout::GpuFrame,
         table: &DrawTable,
         arena: &WordArena,
+        splat_drawing: SplatDrawing,
+        finish_settings: &FinishSettings,
     ) -> Result<DrawCounts, GpuError> {
         let [width_px, height_px] = frame.target_px;
         if !self.targets.as_ref().is_some_and(|targets| targets.fits(width_px, height_px)) {
@@ -52,18 +60,23 @@ impl OnGpu {
         let targets = self.targets.as_ref().expect("they were just made");
         self.timer.begin_frame();
         let gpu = self.gpu.clone();
-        let (pass, timer) = (&mut self.pass, &mut self.timer);
-        let drawing = PointDrawing { frame, table, arena, targets };
+        let (pass, timer, finish) = (&mut self.pass, &mut self.timer, &mut self.finish);
+        let drawing = PointDrawing { frame, table, arena, targets, splat_drawing };
         gpu.checked("draw a frame", || {
             let mut encoder = gpu.device().create_command_encoder(&Default::default());
             let counts = match pass {
                 GpuPass::Compute(pass) => pass.draw(&gpu, &mut encoder, timer, &drawing),
                 GpuPass::Raster(pass) => pass.draw(&gpu, &mut encoder, timer, &drawing),
             }?;
+            let finishing = finish.draw(&gpu, &mut encoder, timer, finish_settings, targets)?;
             timer.end_frame(&mut encoder);
             gpu.queue().submit([encoder.finish()]);
             timer.after_submit();
-            Ok(counts)
+            Ok(DrawCounts {
+                dispatches: counts.dispatches + finishing.dispatches,
+                draw_calls: counts.draw_calls + finishing.draw_calls,
+                uploaded_bytes: counts.uploaded_bytes + finishing.uploaded_bytes,
+            })
         })?
     }
 
@@ -84,11 +97,22 @@ impl OnGpu {
         match &self.pass {
             GpuPass::Compute(pass) => pass.distances_of_rows(&self.gpu, rows),
             GpuPass::Raster(_) => {
-                let picture = targets.read(&self.gpu, view.camera.near as f32)?;
+                let distances = targets.read_distances(&self.gpu, view.camera.near as f32)?;
                 let width = view.width_px as usize;
-                Ok(picture.distances[rows.start as usize * width..rows.end as usize * width]
-                    .to_vec())
+                Ok(distances[rows.start as usize * width..rows.end as usize * width].to_vec())
             }
         }
+    }
+
+    /// The targets with the colours of the last frame, and those with its depths.
+    pub(super) fn finished(&self) -> Option<(&Targets, &Targets)> {
+        self.targets.as_ref().map(|targets| self.finish.finished(targets))
+    }
+
+    /// The last picture with its distances, read back.
+    pub(super) fn read_picture(&self, near: f32) -> Result<Option<Picture>, GpuError> {
+        let Some((colors, depths)) = self.finished() else { return Ok(None) };
+        let distances = depths.read_distances(&self.gpu, near)?;
+        Ok(Some(Picture { distances, ..colors.read_colors(&self.gpu)? }))
     }
 }

@@ -9,7 +9,7 @@ use crate::frame::node_cache::{SceneNode, Words};
 use crate::frame::{FrameError, FrameSettings, Renderer};
 use crate::geometry::View;
 use crate::ids::NodeId;
-use crate::passes::{CloudDraw, NodePlace, NodeWords, Picture, Tile};
+use crate::passes::{CloudDraw, NodePlace, NodeWords, Picture, Tile, finish};
 use crate::select::Cut;
 
 /// Most pixels of one part of a picture on the CPU.
@@ -38,7 +38,12 @@ impl Renderer {
             .iter()
             .zip(cuts)
             .zip(&places)
-            .map(|((source, cut), place)| CloudDraw { octree: source.octree(), cut, place })
+            .map(|((source, cut), place)| CloudDraw {
+                octree: source.octree(),
+                cut,
+                place,
+                appeared: None,
+            })
             .collect();
         self.table.fill(&clouds, view, &settings.cut.splat);
     }
@@ -69,7 +74,9 @@ impl Renderer {
                         Some(Picture::empty(tile.width_px, tile.height_px, settings.background));
                 } else {
                     pass.draw(&frame, &self.table, &words);
-                    *picture = Some(pass.resolve(&frame));
+                    let mut drawn = pass.resolve(&frame);
+                    finish(&mut drawn, frame.near, &settings.finish);
+                    *picture = Some(drawn);
                 }
             }
             #[cfg(feature = "gpu")]
@@ -77,7 +84,8 @@ impl Renderer {
                 let Storage::Device(arena) = self.cache.storage() else {
                     unreachable!("a renderer on a device stores there")
                 };
-                let counts = on_gpu.draw(&frame, &self.table, arena)?;
+                let drawing = settings.cut.splat.drawing;
+                let counts = on_gpu.draw(&frame, &self.table, arena, drawing, &settings.finish)?;
                 self.stats.draw_calls += counts.draw_calls;
                 self.stats.dispatches += counts.dispatches;
                 self.stats.bytes_uploaded += counts.uploaded_bytes;
@@ -95,8 +103,8 @@ impl Renderer {
             Device::Cpu { picture, .. } => Ok(picture.take().expect("it was just drawn")),
             #[cfg(feature = "gpu")]
             Device::Gpu(on_gpu) => {
-                let targets = on_gpu.targets.as_ref().expect("it was just drawn");
-                Ok(targets.read_colors(&on_gpu.gpu)?)
+                let (colors, _) = on_gpu.finished().expect("it was just drawn");
+                Ok(colors.read_colors(&on_gpu.gpu)?)
             }
         }
     }
@@ -116,12 +124,17 @@ impl Renderer {
         }
     }
 
-    pub(super) fn tiles(&self, view: &View) -> Vec<Tile> {
+    /// Parts that cover a view, each of which can be drawn with `reach_px` around it.
+    pub(super) fn tiles(&self, view: &View, reach_px: u32) -> Vec<Tile> {
         match &self.device {
             Device::Cpu { .. } => Tile::cover(view, u32::MAX, CPU_TILE_PIXELS),
             #[cfg(feature = "gpu")]
             Device::Gpu(on_gpu) => {
                 let side = on_gpu.gpu.device().limits().max_texture_dimension_2d;
+                let side = match view.width_px.max(view.height_px) > side {
+                    true => side.saturating_sub(2 * reach_px).max(1),
+                    false => side,
+                };
                 Tile::cover(view, side, on_gpu.max_pixels())
             }
         }

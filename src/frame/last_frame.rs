@@ -5,15 +5,13 @@ use glam::DVec3;
 use crate::frame::device::Device;
 use crate::frame::{FrameError, Renderer};
 use crate::passes::Picture;
-#[cfg(feature = "gpu")]
-use crate::passes::Targets;
 
 impl Renderer {
     /// The colours of the last frame on the device; `None` on the CPU or before the first frame.
     #[cfg(feature = "gpu")]
     pub fn color_view(&self) -> Option<&wgpu::TextureView> {
         match &self.device {
-            Device::Gpu(on_gpu) => on_gpu.targets.as_ref().map(Targets::color_view),
+            Device::Gpu(on_gpu) => on_gpu.finished().map(|(colors, _)| colors.color_view()),
             Device::Cpu { .. } => None,
         }
     }
@@ -22,7 +20,7 @@ impl Renderer {
     #[cfg(feature = "gpu")]
     pub fn depth_view(&self) -> Option<&wgpu::TextureView> {
         match &self.device {
-            Device::Gpu(on_gpu) => on_gpu.targets.as_ref().map(Targets::depth_view),
+            Device::Gpu(on_gpu) => on_gpu.finished().and_then(|(_, depths)| depths.depth_view()),
             Device::Cpu { .. } => None,
         }
     }
@@ -41,11 +39,9 @@ impl Renderer {
         match &self.device {
             Device::Cpu { picture, .. } => Ok(picture.clone()),
             #[cfg(feature = "gpu")]
-            Device::Gpu(on_gpu) => match (&on_gpu.targets, &self.last) {
-                (Some(targets), Some((view, ..))) => {
-                    Ok(Some(targets.read(&on_gpu.gpu, view.camera.near as f32)?))
-                }
-                _ => Ok(None),
+            Device::Gpu(on_gpu) => match &self.last {
+                Some((view, ..)) => Ok(on_gpu.read_picture(view.camera.near as f32)?),
+                None => Ok(None),
             },
         }
     }

@@ -15,10 +15,10 @@ use crate::frame::{
 };
 use crate::geometry::{Aabb, View};
 #[cfg(feature = "gpu")]
-use crate::gpu::{Gpu, PassTimer, WordArena};
+use crate::gpu::{Gpu, PassTimer, WordArena, shader::PixelAtomics};
 use crate::passes::{DrawTable, Picture, PointsCpu, Tile};
 #[cfg(feature = "gpu")]
-use crate::passes::{PointsCompute, PointsRaster};
+use crate::passes::{Finish, PointsCompute, PointsRaster};
 use crate::select::CutScratch;
 
 /// Draws a scene from changing views.
@@ -51,13 +51,19 @@ impl Renderer {
     #[cfg(feature = "gpu")]
     pub fn on_gpu(gpu: Arc<Gpu>, path: RasterPath, limit_bytes: u64) -> Result<Self, FrameError> {
         let pass = match path {
-            RasterPath::Compute => GpuPass::Compute(PointsCompute::new(&gpu)?),
+            RasterPath::Compute => {
+                GpuPass::Compute(Box::new(PointsCompute::new(&gpu, gpu.wide_atomics())?))
+            }
+            RasterPath::Compute32 => {
+                GpuPass::Compute(Box::new(PointsCompute::new(&gpu, PixelAtomics::Narrow)?))
+            }
             RasterPath::Raster => GpuPass::Raster(PointsRaster::new(&gpu)?),
             RasterPath::Cpu => return Ok(Renderer::on_cpu(limit_bytes)),
         };
         let timer = PassTimer::new(&gpu)?;
+        let finish = Finish::new(&gpu)?;
         let storage = Storage::Device(WordArena::new(&gpu, limit_bytes));
-        let device = Device::Gpu(Box::new(OnGpu { gpu, pass, timer, targets: None }));
+        let device = Device::Gpu(Box::new(OnGpu { gpu, pass, timer, targets: None, finish }));
         Ok(Renderer::new(device, storage))
     }
 
@@ -83,7 +89,10 @@ impl Renderer {
         match &self.device {
             Device::Cpu { .. } => RasterPath::Cpu,
             #[cfg(feature = "gpu")]
-            Device::Gpu(on_gpu) => match on_gpu.pass {
+            Device::Gpu(on_gpu) => match &on_gpu.pass {
+                GpuPass::Compute(pass) if pass.atomics() == PixelAtomics::Narrow => {
+                    RasterPath::Compute32
+                }
                 GpuPass::Compute(_) => RasterPath::Compute,
                 GpuPass::Raster(_) => RasterPath::Raster,
             },
@@ -163,7 +172,7 @@ impl Renderer {
         check_view(view)?;
         self.last = None;
         self.prepare(view, settings)?;
-        let tiles = self.tiles(view);
+        let tiles = self.tiles(view, settings.finish.reach_px());
         self.stats.tiles = tiles.len() as u32;
         let mut whole = match tiles.len() {
             1 => None,
@@ -171,12 +180,14 @@ impl Renderer {
         };
         let mut only = None;
         for tile in tiles {
-            self.draw(view, tile, settings)?;
+            // What is done to pixels by what is around them needs that too.
+            let drawn = settings.finish.widened(tile, view.width_px, view.height_px);
+            self.draw(view, drawn, settings)?;
             let reading = Instant::now();
             let part = self.take_picture()?;
             self.note_cpu_time("read_back", reading);
             match &mut whole {
-                Some(whole) => whole.paste(&part, tile),
+                Some(whole) => whole.paste_part(&part, drawn, tile),
                 None => only = Some(part),
             }
         }
@@ -194,6 +205,8 @@ impl Renderer {
         let cuts = self.select_and_load(view, settings)?;
         self.fill_table(&cuts, view, settings);
         self.stats.points_drawn = self.table.points;
+        self.stats.splat_pixels = self.table.splat_pixels;
+        self.stats.point_bytes = self.table.point_bytes;
         self.stats.nodes_drawn = self.table.draws.len() as u32;
         let counters = || cuts.iter().map(|cut| &cut.counters);
         self.stats.queue_pops = counters().map(|c| c.queue_pops).sum();

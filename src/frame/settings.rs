@@ -4,6 +4,7 @@ use crate::frame::ColorMode;
 use crate::geometry::View;
 #[cfg(feature = "gpu")]
 use crate::gpu::GpuError;
+use crate::passes::FinishSettings;
 use crate::select::CutSettings;
 
 /// Why a frame was not drawn.
@@ -27,6 +28,8 @@ pub enum FrameError {
 pub enum RasterPath {
     /// Compute shaders with 64-bit atomics.
     Compute,
+    /// Compute shaders with 32-bit atomics, in two passes.
+    Compute32,
     /// The rasterizer.
     Raster,
     /// All cores of the CPU.
@@ -34,10 +37,22 @@ pub enum RasterPath {
 }
 
 impl RasterPath {
+    /// The ways that a device can draw, the best first.
+    #[cfg(feature = "gpu")]
+    pub fn offered_by(gpu: &crate::gpu::Gpu) -> Vec<RasterPath> {
+        let ways = [
+            (RasterPath::Compute, gpu.draws_by_compute()),
+            (RasterPath::Compute32, gpu.draws_by_narrow_compute()),
+            (RasterPath::Raster, gpu.draws_by_raster()),
+        ];
+        ways.into_iter().filter_map(|(path, offered)| offered.then_some(path)).collect()
+    }
+
     /// The path in one word, for options and reports.
     pub fn name(self) -> &'static str {
         match self {
             RasterPath::Compute => "compute",
+            RasterPath::Compute32 => "compute32",
             RasterPath::Raster => "raster",
             RasterPath::Cpu => "cpu",
         }
@@ -67,6 +82,8 @@ pub struct FrameSettings {
     pub background: u32,
     /// How much is loaded before drawing. Default: all.
     pub loading: Loading,
+    /// What is done to the picture after its points are drawn. Default: nothing.
+    pub finish: FinishSettings,
 }
 
 impl Default for FrameSettings {
@@ -76,6 +93,7 @@ impl Default for FrameSettings {
             color: ColorMode::default(),
             background: 0xff20_1c1a,
             loading: Loading::All,
+            finish: FinishSettings::default(),
         }
     }
 }

@@ -11,6 +11,10 @@ pub struct FrameStats {
     pub complete: bool,
     /// Points drawn, hidden ones included.
     pub points_drawn: u64,
+    /// About how many pixels the splats of these points have together, hidden ones included.
+    pub splat_pixels: u64,
+    /// Bytes of these points that drawing reads if none is hidden: positions and colours.
+    pub point_bytes: u64,
     /// Nodes drawn.
     pub nodes_drawn: u32,
     /// Draw calls.

@@ -1,13 +1,13 @@
 //! The device: found, opened, and asked whether all went well.
 //!
 //! Any backend and any kind of adapter will do, software included; what an adapter lacks shows in
-//! [`Gpu::draws_by_compute`] and [`Gpu::draws_by_raster`]. Errors of the device are values: work
+//! [`Gpu::draws_by_compute`], [`Gpu::draws_by_narrow_compute`] and [`Gpu::draws_by_raster`]. Errors of the device are values: work
 //! that may fail runs in [`Gpu::checked`], and a lost device answers [`GpuError::Lost`] from then
 //! on.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use crate::gpu::shader::AtomicRead;
+use crate::gpu::shader::PixelAtomics;
 
 /// Why the GPU did not do what it was asked.
 #[derive(Debug, thiserror::Error)]
@@ -66,6 +66,7 @@ pub struct Gpu {
     queue: wgpu::Queue,
     info: wgpu::AdapterInfo,
     vertex_storage: bool,
+    narrow_compute: bool,
     failure: Failure,
 }
 
@@ -144,6 +145,10 @@ impl Gpu {
             queue,
             info: adapter.get_info(),
             vertex_storage: flags.contains(wgpu::DownlevelFlags::VERTEX_STORAGE),
+            // Storage in fragments for the resolve.
+            narrow_compute: flags.contains(
+                wgpu::DownlevelFlags::COMPUTE_SHADERS | wgpu::DownlevelFlags::FRAGMENT_STORAGE,
+            ),
             failure,
         }
     }
@@ -174,7 +179,12 @@ impl Gpu {
         self.device.features().contains(COMPUTE_FEATURES)
     }
 
-    /// Whether vertex shaders may read storage buffers, which the fallback way needs.
+    /// Whether compute shaders can draw with 32-bit atomics in two passes.
+    pub fn draws_by_narrow_compute(&self) -> bool {
+        self.narrow_compute
+    }
+
+    /// Whether vertex shaders may read storage buffers, which the way without atomics needs.
     pub fn draws_by_raster(&self) -> bool {
         self.vertex_storage
     }
@@ -184,11 +194,11 @@ impl Gpu {
         self.device.features().contains(wgpu::Features::TIMESTAMP_QUERY)
     }
 
-    /// How shaders may look at a 64-bit atomic.
-    pub fn atomic_read(&self) -> AtomicRead {
+    /// How compute shaders hold pixels where there are 64-bit atomics.
+    pub fn wide_atomics(&self) -> PixelAtomics {
         match self.info.backend {
-            wgpu::Backend::Metal => AtomicRead::Unknown,
-            _ => AtomicRead::Load,
+            wgpu::Backend::Metal => PixelAtomics::WideUnread,
+            _ => PixelAtomics::Wide,
         }
     }
 

@@ -11,6 +11,13 @@ pub const WORKGROUP_SIZE: u32 = 64;
 /// Most bits per axis whose Morton code fits two words; nodes with more hold three coordinates.
 pub const NARROW_BITS: u32 = 21;
 
+/// Splats are squares of whole pixels.
+pub const SQUARE: u32 = 0;
+/// Splats are discs within their square.
+pub const ROUND: u32 = 1;
+/// Splats are shaded balls within their square, nearer in the middle.
+pub const SPHERE: u32 = 2;
+
 /// Words per position of a node whose local coordinates have `local_bits` bits.
 pub const fn position_words(local_bits: u32) -> u32 {
     if local_bits <= NARROW_BITS { 2 } else { 3 }
@@ -53,7 +60,7 @@ gpu_struct! {
     /// The three columns map a position relative to the eye (world axes) to `(x w, y w, w)`: pixels
     /// from the middle of the picture, x right and y down, and the distance `w` along the viewing
     /// direction.
-    GpuFrame, 80 {
+    GpuFrame, 112 {
         /// Column for world x; the fourth lane is unused.
         screen_from_world_x: [f32; 4],
         /// Column for world y; the fourth lane is unused.
@@ -72,6 +79,25 @@ gpu_struct! {
         per_point_splats: u32,
         /// RGBA8 of pixels without a point, red in the lowest byte.
         background: u32,
+        /// Smallest side of a splat, pixels; equal to the largest where all have one size.
+        min_splat_px: f32,
+        /// 1 if a splat's place follows from its pixel alone, so that a larger splat around the
+        /// same pixel covers a smaller one; 0 if it is centred on the point.
+        nested_splats: u32,
+        /// What a splat looks like: [`SQUARE`], [`ROUND`] or [`SPHERE`].
+        splat_shape: u32,
+        /// Length of a pixel at a distance of 1 m.
+        pixel_m: f32,
+        /// Splat size on screen at a distance of 1 m that all points share, pixels; 0 if they
+        /// share none.
+        shared_splat_px_m: f32,
+        /// Pixels around the picture that the grown pixels start from, so that points beside it
+        /// reach in.
+        grow_margin_px: u32,
+        /// Unused.
+        padding_0: u32,
+        /// Unused.
+        padding_1: u32,
     }
 }
 
@@ -81,7 +107,7 @@ gpu_struct! {
     /// The eye is given in the node's lattice steps as `eye_cell + eye_fraction`, where `eye_cell`
     /// is clamped into the node; the difference of a point and `eye_cell` is exact, and where the
     /// eye is outside, both parts of the distance have the same sign, so nothing cancels.
-    GpuNode, 64 {
+    GpuNode, 80 {
         /// Integer part of the eye, clamped to the node's cell, lattice steps.
         eye_cell: [u32; 3],
         /// First position word, counted in words of the node's shard.
@@ -104,6 +130,14 @@ gpu_struct! {
         /// Most steps down from here to a drawn node that has no drawn child, or below which all
         /// splats are single pixels.
         drawn_levels_below: u32,
+        /// Leading points that are drawn without asking; of the others a share is.
+        whole_count: u32,
+        /// That share, of 2^32.
+        kept_share: u32,
+        /// Unused.
+        padding_0: u32,
+        /// Unused.
+        padding_1: u32,
     }
 }
 
@@ -119,12 +153,32 @@ gpu_struct! {
     }
 }
 
+gpu_struct! {
+    /// What the passes over a drawn picture do.
+    GpuFinish, 16 {
+        /// Farthest pixel that counts around a gap.
+        gap_radius_px: u32,
+        /// How far the neighbours are that eye-dome lighting compares with.
+        eye_dome_radius_px: u32,
+        /// How much darker a pixel gets for neighbours that are nearer.
+        eye_dome_strength: f32,
+        /// Unused.
+        padding_0: u32,
+    }
+}
+
 /// All shared structs.
-pub const STRUCTS: &[StructLayout] = &[GpuFrame::LAYOUT, GpuNode::LAYOUT, GpuBatch::LAYOUT];
+pub const STRUCTS: &[StructLayout] =
+    &[GpuFrame::LAYOUT, GpuNode::LAYOUT, GpuBatch::LAYOUT, GpuFinish::LAYOUT];
 
 /// WGSL text that declares the shared constants; every shader starts with it.
 pub fn prelude() -> String {
-    [("WORKGROUP_SIZE", WORKGROUP_SIZE), ("NARROW_BITS", NARROW_BITS)]
-        .map(|(name, value)| format!("const {name}: u32 = {value}u;\n"))
-        .concat()
+    [
+        ("WORKGROUP_SIZE", WORKGROUP_SIZE),
+        ("NARROW_BITS", NARROW_BITS),
+        ("ROUND", ROUND),
+        ("SPHERE", SPHERE),
+    ]
+    .map(|(name, value)| format!("const {name}: u32 = {value}u;\n"))
+    .concat()
 }

@@ -9,57 +9,69 @@ use std::borrow::Cow;
 use crate::gpu::{Gpu, GpuError, layout};
 
 /// The shaders of the passes, by file name without suffix.
-pub const SHADERS: &[&str] = &["points_compute", "points_raster", "resolve"];
+pub const SHADERS: &[&str] =
+    &["points_compute", "points_bare", "points_raster", "grow", "resolve", "fill_gaps", "eye_dome"];
 
-const FILES: &[(&str, &str)] = &[
-    ("points_compute", include_str!("../../shaders/points_compute.wgsl")),
-    ("points_raster", include_str!("../../shaders/points_raster.wgsl")),
-    ("resolve", include_str!("../../shaders/resolve.wgsl")),
-    ("shared/structs", include_str!("../../shaders/shared/structs.wgsl")),
-    ("shared/scene", include_str!("../../shaders/shared/scene.wgsl")),
-    ("shared/splat", include_str!("../../shaders/shared/splat.wgsl")),
-    (
-        "variants/nearest_so_far_load",
-        include_str!("../../shaders/variants/nearest_so_far_load.wgsl"),
-    ),
-    (
-        "variants/nearest_so_far_unknown",
-        include_str!("../../shaders/variants/nearest_so_far_unknown.wgsl"),
-    ),
+macro_rules! files {
+    ($($name:literal),* $(,)?) => {
+        &[$(($name, include_str!(concat!("../../shaders/", $name, ".wgsl"))),)*]
+    };
+}
+
+const FILES: &[(&str, &str)] = files![
+    "points_compute",
+    "points_bare",
+    "points_raster",
+    "grow",
+    "resolve",
+    "fill_gaps",
+    "eye_dome",
+    "shared/structs",
+    "shared/scene",
+    "shared/splat",
+    "shared/splat_shape",
+    "shared/pictures",
+    "variants/pixels_64",
+    "variants/pixels_32",
+    "variants/nearest_so_far_load",
+    "variants/nearest_so_far_unknown",
 ];
 
-/// Whether shaders may read 64-bit atomics; Metal offers only minimum and maximum on them.
+/// How compute shaders hold the nearest point of each pixel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum AtomicRead {
-    /// They may.
-    Load,
-    /// They may not: every candidate goes to the atomic operation.
-    Unknown,
+pub enum PixelAtomics {
+    /// 64-bit atomics that can be read.
+    Wide,
+    /// 64-bit atomics that know only minimum and maximum (Metal): nothing is known of a pixel, so
+    /// that every point goes to the atomic operation.
+    WideUnread,
+    /// Pairs of 32-bit atomics and two passes, for adapters without wider ones.
+    Narrow,
 }
 
 /// The whole text of a shader of [`SHADERS`].
 ///
 /// `name` must be one of our files and imports must exist: both are known when this is compiled,
 /// and `tests/shader_layout.rs` goes through all of them.
-pub fn source(name: &str, atomic_read: AtomicRead) -> String {
-    source_with(name, file(name), atomic_read)
-}
-
-/// Like [`source`], for a text from elsewhere (a bench) that imports our files.
-pub fn source_with(name: &str, text: &str, atomic_read: AtomicRead) -> String {
+pub fn source(name: &str, atomics: PixelAtomics) -> String {
     let mut joined = layout::prelude();
     let mut seen = vec![name.to_owned()];
-    append(text, atomic_read, &mut seen, &mut joined);
+    append(file(name), atomics, &mut seen, &mut joined);
     joined
 }
 
-/// Compiles a shader.
+/// Compiles a shader that has no pixels of its own.
 pub fn module(gpu: &Gpu, name: &str) -> Result<wgpu::ShaderModule, GpuError> {
-    module_of(gpu, name, source(name, gpu.atomic_read()))
+    module_with(gpu, name, PixelAtomics::Narrow)
 }
 
-/// Compiles a whole text, as [`source_with`] gives it.
-pub fn module_of(gpu: &Gpu, name: &str, text: String) -> Result<wgpu::ShaderModule, GpuError> {
+/// Compiles a shader.
+pub fn module_with(
+    gpu: &Gpu,
+    name: &str,
+    atomics: PixelAtomics,
+) -> Result<wgpu::ShaderModule, GpuError> {
+    let text = source(name, atomics);
     gpu.checked("compile a shader", || {
         gpu.device().create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some(name),
@@ -68,21 +80,23 @@ pub fn module_of(gpu: &Gpu, name: &str, text: String) -> Result<wgpu::ShaderModu
     })
 }
 
-fn append(text: &str, atomic_read: AtomicRead, seen: &mut Vec<String>, joined: &mut String) {
+fn append(text: &str, atomics: PixelAtomics, seen: &mut Vec<String>, joined: &mut String) {
     for line in text.lines() {
         let Some(import) = line.strip_prefix("#import ") else {
             joined.push_str(line);
             joined.push('\n');
             continue;
         };
-        let import = match (import.trim(), atomic_read) {
-            ("nearest_so_far", AtomicRead::Load) => "variants/nearest_so_far_load",
-            ("nearest_so_far", AtomicRead::Unknown) => "variants/nearest_so_far_unknown",
+        let import = match (import.trim(), atomics) {
+            ("pixels", PixelAtomics::Narrow) => "variants/pixels_32",
+            ("pixels", _) => "variants/pixels_64",
+            ("nearest_so_far", PixelAtomics::Wide) => "variants/nearest_so_far_load",
+            ("nearest_so_far", _) => "variants/nearest_so_far_unknown",
             (import, _) => import,
         };
         if !seen.iter().any(|name| name == import) {
             seen.push(import.to_owned());
-            append(file(import), atomic_read, seen, joined);
+            append(file(import), atomics, seen, joined);
         }
     }
 }
@@ -98,7 +112,7 @@ mod tests {
 
     #[test]
     fn each_file_is_joined_once() {
-        let text = source("points_compute", AtomicRead::Load);
+        let text = source("points_compute", PixelAtomics::Wide);
         assert_eq!(text.matches("struct GpuNode").count(), 1);
         assert_eq!(text.matches("const WORKGROUP_SIZE").count(), 1);
         assert!(!text.contains("#import"));

@@ -8,10 +8,10 @@
 use std::ops::Range;
 
 use crate::geometry::{Aabb, View};
-use crate::gpu::layout::{GpuBatch, GpuNode, NARROW_BITS};
+use crate::gpu::layout::{GpuBatch, GpuNode, NARROW_BITS, position_words};
 use crate::ids::NodeId;
-use crate::octree::Octree;
-use crate::select::{Cut, DrawNode, DrawnRow, SplatPolicy, SplatSettings};
+use crate::octree::{LevelIndex, Octree};
+use crate::select::{Cut, DrawNode, DrawnRow, SplatSettings, SplatSize};
 
 /// Where the words of a node are.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -33,6 +33,8 @@ pub struct CloudDraw<'a> {
     pub cut: &'a Cut,
     /// Where a drawn node's words are.
     pub place: &'a dyn Fn(NodeId) -> NodePlace,
+    /// What share of a drawn node's points has appeared, 0..=1; none: all of all nodes.
+    pub appeared: Option<&'a dyn Fn(NodeId) -> f32>,
 }
 
 /// One draw: leading points of one node.
@@ -50,6 +52,8 @@ pub struct DrawnNode {
     pub shard: usize,
     /// Whether no splat of the node can exceed one pixel.
     pub single_pixels: bool,
+    /// Whether only a share of the points is drawn.
+    pub partly: bool,
 }
 
 /// All drawn nodes of a scene. Lists are kept for the next frame's use.
@@ -61,6 +65,13 @@ pub struct DrawTable {
     pub draws: Vec<DrawnNode>,
     /// Sum of the draws' counts.
     pub points: u64,
+    /// About how many pixels the splats have together, hidden ones included: each node's at the
+    /// depth of its middle.
+    pub splat_pixels: u64,
+    /// No splat is larger, pixels, unless the settings allow less.
+    pub largest_splat_px: f64,
+    /// Bytes that drawing reads of points: all positions, and the colours if none is hidden.
+    pub point_bytes: u64,
 }
 
 /// What all nodes of a batch group have in common, so that one pipeline draws them.
@@ -72,6 +83,8 @@ pub struct BatchKind {
     pub wide: bool,
     /// Whether no splat of the nodes exceeds one pixel.
     pub single_pixels: bool,
+    /// Whether only a share of the nodes' points is drawn.
+    pub partly: bool,
 }
 
 /// Workgroup-sized pieces of the draws.
@@ -88,10 +101,17 @@ impl DrawTable {
     pub fn fill(&mut self, clouds: &[CloudDraw], view: &View, splat: &SplatSettings) {
         self.nodes.clear();
         self.draws.clear();
+        self.splat_pixels = 0;
+        self.largest_splat_px = 1.0;
         for (index, cloud) in clouds.iter().enumerate() {
             self.add_cloud(index, cloud, view, splat);
         }
         self.points = self.draws.iter().map(|draw| u64::from(draw.count)).sum();
+        let bytes = |draw: &DrawnNode| {
+            let local_bits = self.nodes[draw.slot as usize].local_bits;
+            u64::from(draw.count) * 4 * u64::from(position_words(local_bits) + 1)
+        };
+        self.point_bytes = self.draws.iter().map(bytes).sum();
     }
 
     /// Cuts the draws into batches of at most `batch_points`, kind by kind; the start of each kind
@@ -123,6 +143,7 @@ impl DrawTable {
             shard: draw.shard,
             wide: self.nodes[draw.slot as usize].local_bits > NARROW_BITS,
             single_pixels: draw.single_pixels,
+            partly: draw.partly,
         }
     }
 
@@ -138,18 +159,34 @@ impl DrawTable {
             count: drawn.count,
             shard: 0,
             single_pixels: false,
+            partly: false,
         }));
         let mut coarsest_edges = vec![f64::INFINITY; cloud.cut.table.len()];
         for ((index, row), slot) in cloud.cut.table.iter().enumerate().zip(base..) {
             let drawn = cloud.cut.draw[row.draw as usize];
             let place = (cloud.place)(row.node);
-            let edge = match splat.policy {
-                // Looking up a point's size relies on sizes that never grow on the way down.
-                SplatPolicy::PerPoint => splat_edge(octree, row, &drawn).min(coarsest_edges[index]),
-                _ => octree.cell_size(drawn.splat_level).max_element(),
+            let share = cloud.appeared.map_or(1.0, |appeared| appeared(row.node)) * drawn.share;
+            let shown = Shown::of(&octree.node(row.node).levels, drawn.count, share);
+            let edge = match splat.takes_finest_around() {
+                // Looking up a point's size relies on sizes that never grow on the way down. A node
+                // that is not all there yet is not yet as fine as it will be.
+                true => {
+                    let above = coarsest_edges[index];
+                    let own = splat_edge(octree, row, &drawn).min(above);
+                    if share < 1.0 && above.is_finite() {
+                        own * (above / own).powf(f64::from(1.0 - share))
+                    } else {
+                        own
+                    }
+                }
+                false => octree.cell_size(drawn.splat_level).max_element(),
             };
             let first = row.first_drawn_child as usize;
             coarsest_edges[first..first + row.child_drawn_mask.count_ones() as usize].fill(edge);
+            let edge = match splat.size {
+                SplatSize::Attenuated { length } => length,
+                _ => edge,
+            };
             let splat_px_m = splat.multiplier * edge * view.focal_px();
             let (eye_cell, eye_fraction) = local_eye(octree, row.node, view);
             self.nodes.push(GpuNode {
@@ -160,16 +197,38 @@ impl DrawTable {
                 scale: octree.lattice().scale.as_vec3().to_array(),
                 splat_px_m: splat_px_m as f32,
                 local_bits: octree.local_bits(row.node),
-                drawn_count: drawn.count,
+                drawn_count: shown.count,
                 drawn_children: (base + row.first_drawn_child) << 8
                     | u32::from(row.child_drawn_mask),
                 drawn_levels_below: 0,
+                whole_count: shown.whole_count,
+                kept_share: shown.kept_share,
+                padding_0: 0,
+                padding_1: 0,
             });
             let draw = &mut self.draws[first_draw + row.draw as usize];
             draw.slot = slot;
             draw.shard = place.shard;
-            let depth = nearest_depth(&octree.tight_box(row.node), view);
-            draw.single_pixels = splat_px_m <= HAIR * depth;
+            draw.count = shown.count;
+            draw.partly = shown.whole_count < shown.count;
+            let bounds = octree.tight_box(row.node);
+            let fixed_px = match splat.size {
+                SplatSize::Fixed { px } => Some(px * splat.multiplier),
+                _ => None,
+            };
+            let nearest = HAIR * nearest_depth(&bounds, view);
+            let largest_here_px = fixed_px.unwrap_or(match nearest > 0.0 {
+                true => splat_px_m / nearest,
+                false => f64::INFINITY,
+            });
+            draw.single_pixels = largest_here_px <= 1.0;
+            self.largest_splat_px = self.largest_splat_px.max(largest_here_px);
+            let middle = (bounds.center() - view.camera.eye).dot(view.camera.forward);
+            let largest_px = splat.max_px.max(1.0);
+            let typical_px = fixed_px
+                .unwrap_or_else(|| (splat_px_m / middle.max(view.camera.near)).min(largest_px))
+                .max(1.0);
+            self.splat_pixels += (f64::from(shown.count) * typical_px * typical_px) as u64;
         }
         // Children stand after their parents, so going backwards finds them done. Below a cell
         // whose splats are all single pixels there is nothing to look up.
@@ -184,6 +243,43 @@ impl DrawTable {
                     true => 0,
                     false => children.map(below).max().unwrap_or(0),
                 };
+        }
+    }
+}
+
+/// Which of a node's leading points are drawn when only a share of them is.
+///
+/// Levels are even over the node, so the first of them are drawn whole; only of the last one a
+/// share is, even again because it goes by numbers that look random.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Shown {
+    /// One past the last point that may be drawn.
+    count: u32,
+    /// Points that are drawn whatever their number.
+    whole_count: u32,
+    /// Share of the others that is drawn, of 2^32.
+    kept_share: u32,
+}
+
+impl Shown {
+    fn of(levels: &LevelIndex, count: u32, share: f32) -> Self {
+        if share >= 1.0 || share.is_nan() || count == 0 {
+            return Shown { count, whole_count: count, kept_share: 0 };
+        }
+        let wanted = (f64::from(share.max(0.0)) * f64::from(count)).max(1.0);
+        let totals = levels.totals();
+        let level = totals.partition_point(|&total| f64::from(total) < wanted);
+        let end = totals.get(level).map_or(count, |&total| total.min(count));
+        let start = level.checked_sub(1).map_or(0, |before| totals[before]);
+        let kept = (wanted - f64::from(start)) / f64::from((end - start).max(1));
+        match kept < 1.0 {
+            true => Shown {
+                count: end,
+                whole_count: start,
+                // Casting clamps.
+                kept_share: (kept * 2f64.powi(32)) as u32,
+            },
+            false => Shown { count: end, whole_count: end, kept_share: 0 },
         }
     }
 }
@@ -226,3 +322,28 @@ fn nearest_depth(bounds: &Aabb, view: &View) -> f64 {
 
 /// A hair of margin, because the GPU compares in f32.
 const HAIR: f64 = 0.9999;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_share_takes_whole_levels_and_part_of_one() {
+        let levels = LevelIndex::new(vec![1, 5, 21, 85]).expect("valid");
+        let of = |count, share| Shown::of(&levels, count, share);
+        let all = Shown { count: 85, whole_count: 85, kept_share: 0 };
+        assert_eq!([of(85, 1.0), of(85, 7.0), of(85, f32::NAN)], [all; 3]);
+        let half = of(84, 0.5);
+        assert_eq!((half.count, half.whole_count), (84, 21));
+        assert!((f64::from(half.kept_share) / 2f64.powi(32) - 1.0 / 3.0).abs() < 1e-6, "{half:?}");
+        assert_eq!(of(84, 0.25), Shown { count: 21, whole_count: 21, kept_share: 0 });
+        for share in [0.0, -1.0, 1e-9] {
+            let least = of(85, share);
+            assert_eq!((least.count, least.whole_count), (1, 1), "a point at least: {least:?}");
+        }
+        assert_eq!(of(0, 0.5).count, 0);
+        // Only some leading points were to be drawn at all.
+        let cut = of(30, 0.99);
+        assert_eq!((cut.count, cut.whole_count), (30, 21));
+    }
+}

@@ -1,17 +1,25 @@
 //! What draws: one file per pass.
 //!
-//! Points are drawn in three ways that give the same picture: [`PointsCompute`] (main; 64-bit
-//! atomics), [`PointsRaster`] (adapters without them) and [`PointsCpu`] (twin of the first, for
-//! machines without any adapter). [`splat`] is the arithmetic they share, [`DrawTable`] the list
+//! Points are drawn in four ways that give the same picture: [`PointsCompute`] with 64-bit atomics
+//! (main) or 32-bit ones, [`PointsRaster`] (adapters without either) and [`PointsCpu`] (twin of the
+//! first, for machines without any adapter). [`FinishSettings`] tells what is done to the picture
+//! afterwards. [`splat`] is the arithmetic they share, [`DrawTable`] the list
 //! they draw. Which nodes are drawn is decided in `select`, when and from where they are loaded in
 //! `frame`.
 
 mod draw_table;
+mod finish_cpu;
 mod picture;
 mod points_cpu;
 mod reference;
 pub mod splat;
 
+#[cfg(feature = "gpu")]
+mod bindings;
+#[cfg(feature = "gpu")]
+mod finish;
+#[cfg(feature = "gpu")]
+mod grow;
 #[cfg(feature = "gpu")]
 mod points_compute;
 #[cfg(feature = "gpu")]
@@ -20,6 +28,9 @@ mod points_raster;
 mod targets;
 
 pub use draw_table::{BatchKind, Batches, CloudDraw, DrawTable, DrawnNode, NodePlace};
+pub use finish_cpu::{
+    EyeDome, FinishSettings, MAX_FINISH_RADIUS_PX, fill_gaps, finish, light_eye_dome,
+};
 pub use picture::{Picture, Tile};
 pub use points_cpu::{NodeWords, PointsCpu};
 pub use reference::reference_picture;
@@ -36,6 +47,8 @@ pub struct PointDrawing<'a> {
     pub arena: &'a crate::gpu::WordArena,
     /// The textures.
     pub targets: &'a Targets,
+    /// How splats that share a size are drawn.
+    pub splat_drawing: crate::select::SplatDrawing,
 }
 
 /// What the commands of one drawing contain.
@@ -49,6 +62,8 @@ pub struct DrawCounts {
     pub uploaded_bytes: u64,
 }
 
+#[cfg(feature = "gpu")]
+pub use finish::Finish;
 #[cfg(feature = "gpu")]
 pub use points_compute::PointsCompute;
 #[cfg(feature = "gpu")]

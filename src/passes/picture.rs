@@ -1,8 +1,13 @@
 //! A drawn picture in memory, and the parts of one.
 
 use crate::geometry::View;
-use crate::gpu::layout::GpuFrame;
-use crate::select::{SplatPolicy, SplatSettings};
+use crate::gpu::layout::{GpuFrame, ROUND, SPHERE, SQUARE};
+use crate::select::{SplatSettings, SplatShape, SplatSize};
+
+/// Largest side of a splat, pixels.
+const MAX_SPLAT_PX: f64 = 4096.0;
+/// Smallest distance of the near plane.
+const MIN_NEAR: f32 = 1e-30;
 
 /// Colours and distances of a picture, row by row from the top.
 #[derive(Clone, Debug, PartialEq)]
@@ -43,11 +48,19 @@ impl Picture {
 
     /// Copies a part to its place.
     pub fn paste(&mut self, part: &Picture, tile: Tile) {
+        self.paste_part(part, tile, tile);
+    }
+
+    /// Copies what lies within `tile` of a part that shows `drawn`, which contains it.
+    pub fn paste_part(&mut self, part: &Picture, drawn: Tile, tile: Tile) {
         let (whole_px, part_px) = (self.width_px as usize, part.width_px as usize);
-        for row in 0..part.height_px as usize {
+        let left = (tile.left_px - drawn.left_px) as usize;
+        let top = (tile.top_px - drawn.top_px) as usize;
+        let width = tile.width_px as usize;
+        for row in 0..tile.height_px as usize {
             let to = (tile.top_px as usize + row) * whole_px + tile.left_px as usize;
-            let from = row * part_px;
-            let (to, from) = (to..to + part_px, from..from + part_px);
+            let from = (top + row) * part_px + left;
+            let (to, from) = (to..to + width, from..from + width);
             self.colors[to.clone()].copy_from_slice(&part.colors[from.clone()]);
             if !self.distances.is_empty() && !part.distances.is_empty() {
                 self.distances[to].copy_from_slice(&part.distances[from]);
@@ -107,16 +120,41 @@ impl Tile {
         let column =
             |axis: usize| [right[axis] as f32, down[axis] as f32, camera.forward[axis] as f32, 0.0];
         let center = |size: u32, start: u32| (0.5 * f64::from(size) - f64::from(start)) as f32;
+        // NaN counts as the least.
+        let side = |px: f64| if px >= 1.0 { px.min(MAX_SPLAT_PX) as f32 } else { 1.0 };
+        let max_splat_px = side(splat.max_px);
+        let (min_splat_px, max_splat_px, shared_splat_px_m) = match splat.size {
+            SplatSize::Adaptive => (1.0, max_splat_px, 0.0),
+            SplatSize::Fixed { px } => {
+                (side(px * splat.multiplier), side(px * splat.multiplier), 0.0)
+            }
+            SplatSize::Attenuated { length } => {
+                (1.0, max_splat_px, (length * splat.multiplier * focal_px) as f32)
+            }
+        };
         GpuFrame {
             screen_from_world_x: column(0),
             screen_from_world_y: column(1),
             screen_from_world_z: column(2),
             center_px: [center(view.width_px, self.left_px), center(view.height_px, self.top_px)],
             target_px: [self.width_px, self.height_px],
-            near: camera.near as f32,
-            max_splat_px: splat.max_px.clamp(1.0, 4096.0) as f32,
-            per_point_splats: u32::from(splat.policy == SplatPolicy::PerPoint),
+            // Depths are multiples of it, so it must not vanish.
+            near: (camera.near as f32).max(MIN_NEAR),
+            max_splat_px,
+            per_point_splats: u32::from(splat.takes_finest_around()),
             background,
+            min_splat_px,
+            nested_splats: u32::from(splat.size != SplatSize::Adaptive),
+            splat_shape: match splat.shape {
+                SplatShape::Square => SQUARE,
+                SplatShape::Round => ROUND,
+                SplatShape::Sphere => SPHERE,
+            },
+            pixel_m: focal_px.recip() as f32,
+            shared_splat_px_m,
+            grow_margin_px: 0,
+            padding_0: 0,
+            padding_1: 0,
         }
     }
 }

@@ -1,23 +1,33 @@
-//! Points drawn by compute shaders with 64-bit atomic maximum, and their resolve into textures.
+//! Points drawn by compute shaders with atomic maximum, and their resolve into textures.
 //!
 //! One dispatch per shard of words and kind of node, whatever the number of nodes: a batch table
-//! tells each workgroup its node and points. Shaders: `points_compute.wgsl`, `resolve.wgsl`. Twin:
-//! [`PointsCpu`](crate::passes::PointsCpu).
+//! tells each workgroup its node and points. With 64-bit atomics one pass over the points does;
+//! with 32-bit ones a second finds the colours, and the picture is the same. Splats that all share
+//! a size may be grown from single pixels afterwards ([`Grow`](crate::passes::grow::Grow)).
+//! Shaders: `points_compute.wgsl`, `resolve.wgsl`. Twin: [`PointsCpu`](crate::passes::PointsCpu).
 
-use std::num::NonZeroU64;
 use std::ops::Range;
 
-use crate::gpu::layout::{GpuBatch, GpuFrame};
-use crate::gpu::{Gpu, GpuError, GrowingBuffer, PassTimer, read_buffer, shader};
-use crate::passes::{Batches, DrawCounts, PointDrawing, Targets};
+use crate::gpu::layout::{GpuBatch, GpuFrame, SQUARE};
+use crate::gpu::shader::{self, PixelAtomics};
+use crate::gpu::{Gpu, GpuError, GrowingBuffer, PassTimer, read_buffer};
+use crate::passes::bindings::{
+    bind, compute_pipeline, covering_pipeline, layout, part, pipeline_layout, whole,
+};
+use crate::passes::grow::Grow;
+use crate::passes::{BatchKind, Batches, DrawCounts, PointDrawing};
 
 /// The pass, its pipelines and its tables.
 #[derive(Debug)]
 pub struct PointsCompute {
-    /// By [`variant`] of the kind of batch.
-    points: [wgpu::ComputePipeline; 4],
+    atomics: PixelAtomics,
+    shader: wgpu::ShaderModule,
+    draw_layout: wgpu::PipelineLayout,
+    /// Those that were needed so far.
+    pipelines: Vec<(Variant, wgpu::ComputePipeline)>,
     batch_points: u32,
     resolve: wgpu::RenderPipeline,
+    grow: Option<Grow>,
     frame_layout: wgpu::BindGroupLayout,
     scene_layout: wgpu::BindGroupLayout,
     draw_pixels_layout: wgpu::BindGroupLayout,
@@ -28,6 +38,17 @@ pub struct PointsCompute {
     pixels: GrowingBuffer,
     batch_list: Batches,
     target_px: [u32; 2],
+    grew: bool,
+}
+
+/// What a pipeline is made for, so that its points pay for nothing else.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Variant {
+    wide: bool,
+    single_pixels: bool,
+    partly: bool,
+    shape: u32,
+    color_pass: bool,
 }
 
 /// Points of a workgroup on a GPU: enough to spread the look-up of the node, few enough to fill all
@@ -35,17 +56,20 @@ pub struct PointsCompute {
 const BATCH_POINTS: u32 = 1024;
 /// Points of a workgroup on a software adapter, which has few cores and pays more per workgroup.
 const SOFTWARE_BATCH_POINTS: u32 = 4096;
-/// The pipelines: whether nodes are wide, whether all splats are single pixels.
-const KINDS: [(bool, bool); 4] = [(false, false), (false, true), (true, false), (true, true)];
 const BATCH_BYTES: u64 = size_of::<GpuBatch>() as u64;
+/// Bytes of a pixel, however its atomics are held.
+const PIXEL_BYTES: u64 = 8;
 
 impl PointsCompute {
-    /// Compiles the pass; the device must have 64-bit atomic minimum and maximum.
-    pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
-        if !gpu.draws_by_compute() {
+    /// Compiles the pass; the device must have the atomics.
+    pub fn new(gpu: &Gpu, atomics: PixelAtomics) -> Result<Self, GpuError> {
+        if atomics == PixelAtomics::Narrow && !gpu.draws_by_narrow_compute() {
+            return Err(gpu.unsupported("compute32", "no compute shaders"));
+        }
+        if atomics != PixelAtomics::Narrow && !gpu.draws_by_compute() {
             return Err(gpu.unsupported("compute", "no 64-bit atomic minimum and maximum"));
         }
-        let points_shader = shader::module(gpu, "points_compute")?;
+        let shader = shader::module_with(gpu, "points_compute", atomics)?;
         let resolve_shader = shader::module(gpu, "resolve")?;
         gpu.checked("build the compute point pass", || {
             let compute = wgpu::ShaderStages::COMPUTE;
@@ -58,23 +82,23 @@ impl PointsCompute {
             let draw_pixels_layout = layout(gpu, "pixels, drawn", &[(compute, read_write)]);
             let resolve_pixels_layout = layout(gpu, "pixels, resolved", &[(fragment, read_only)]);
             let draw_groups = [Some(&frame_layout), Some(&scene_layout), Some(&draw_pixels_layout)];
-            let points = KINDS.map(|(wide, single_pixels)| {
-                compute_pipeline(gpu, &points_shader, &draw_groups, wide, single_pixels)
-            });
+            let draw_layout = pipeline_layout(gpu, "points", &draw_groups);
             let batch_points = match gpu.is_software() {
                 true => SOFTWARE_BATCH_POINTS,
                 false => BATCH_POINTS,
             };
-            let resolve = resolve_pipeline(
-                gpu,
-                &resolve_shader,
-                &[Some(&frame_layout), None, Some(&resolve_pixels_layout)],
-            );
+            let resolve_groups = [Some(&frame_layout), None, Some(&resolve_pixels_layout)];
+            let resolve_layout = pipeline_layout(gpu, "resolve", &resolve_groups);
+            let resolve = covering_pipeline(gpu, &resolve_layout, &resolve_shader, "resolve", true);
             let storage = wgpu::BufferUsages::STORAGE;
             PointsCompute {
-                points,
+                atomics,
+                shader,
+                draw_layout,
+                pipelines: Vec::new(),
                 batch_points,
                 resolve,
+                grow: None,
                 frame_layout,
                 scene_layout,
                 draw_pixels_layout,
@@ -85,14 +109,20 @@ impl PointsCompute {
                 pixels: GrowingBuffer::new("pixels", storage | wgpu::BufferUsages::COPY_SRC),
                 batch_list: Batches::default(),
                 target_px: [0, 0],
+                grew: false,
             }
         })
     }
 
-    /// Most pixels of one target: its pixels must fit one binding.
+    /// Which atomics it draws with.
+    pub fn atomics(&self) -> PixelAtomics {
+        self.atomics
+    }
+
+    /// Most pixels of one target: its pixels, with room for a margin, must fit one binding.
     pub fn max_pixels(gpu: &Gpu) -> u64 {
         let limits = gpu.device().limits();
-        limits.max_storage_buffer_binding_size.min(limits.max_buffer_size) / 8
+        limits.max_storage_buffer_binding_size.min(limits.max_buffer_size) / (2 * PIXEL_BYTES)
     }
 
     /// Adds the commands that draw a table into its targets.
@@ -103,8 +133,9 @@ impl PointsCompute {
         timer: &mut PassTimer,
         drawing: &PointDrawing,
     ) -> Result<DrawCounts, GpuError> {
-        let PointDrawing { frame, table, arena, targets } = *drawing;
+        let PointDrawing { frame, table, arena, targets, .. } = *drawing;
         self.target_px = frame.target_px;
+        self.grew = false;
         if table.draws.is_empty() {
             self.target_px = [0, 0];
             targets.clear(encoder, frame.background);
@@ -114,51 +145,88 @@ impl PointsCompute {
         // Batches have a multiple of 4 bytes.
         let align = (alignment / 4).max(1) as usize;
         table.batches(self.batch_points, align, &mut self.batch_list);
-        let uploaded_bytes = (size_of::<GpuFrame>()
+        let margin_px = Grow::margin_px(drawing, Self::max_pixels(gpu));
+        if margin_px > 0 {
+            // Grown splats start as single pixels.
+            self.batch_list.groups.iter_mut().for_each(|(kind, _)| kind.single_pixels = true);
+        }
+        self.compile(gpu, frame.splat_shape)?;
+        let frames = [
+            GpuFrame { grow_margin_px: margin_px, ..*frame },
+            GpuFrame {
+                target_px: frame.target_px.map(|side| side + 2 * margin_px),
+                grow_margin_px: margin_px,
+                ..*frame
+            },
+        ];
+        let uploaded_bytes = (size_of_val(&frames)
             + size_of_val(&table.nodes[..])
             + size_of_val(&self.batch_list.list[..])) as u64;
-        let pixel_bytes = 8 * u64::from(frame.target_px[0]) * u64::from(frame.target_px[1]);
-        let frame_buffer = self.frame.write(gpu, &[*frame])?;
+        let bytes_of = |frame: &GpuFrame| {
+            PIXEL_BYTES * u64::from(frame.target_px[0]) * u64::from(frame.target_px[1])
+        };
+        // Two frames, each at an offset that every adapter allows.
+        let spaced: Vec<u8> =
+            frames.iter().flat_map(|frame| padded_to_256(bytemuck::bytes_of(frame))).collect();
+        let frame_buffer = self.frame.write(gpu, &spaced)?;
         let nodes = self.nodes.write(gpu, &table.nodes)?;
         let batches = self.batches.write(gpu, &self.batch_list.list)?;
-        let pixels = self.pixels.reserve(gpu, pixel_bytes)?;
+        let pixels = self.pixels.reserve(gpu, bytes_of(&frames[1]))?;
 
-        let frame_group = bind(gpu, &self.frame_layout, &[whole(frame_buffer)]);
-        let pixel_range = part(pixels, 0, pixel_bytes);
-        let draw_pixels = bind(gpu, &self.draw_pixels_layout, std::slice::from_ref(&pixel_range));
-        let resolve_pixels = bind(gpu, &self.resolve_pixels_layout, &[pixel_range]);
+        let frame_bytes = size_of::<GpuFrame>() as u64;
+        let [frame_group, points_group] = [0, 256].map(|offset| {
+            bind(gpu, &self.frame_layout, &[part(frame_buffer, offset, frame_bytes)])
+        });
+        let drawn = part(pixels, 0, bytes_of(&frames[1]));
+        let draw_pixels = bind(gpu, &self.draw_pixels_layout, std::slice::from_ref(&drawn));
 
-        encoder.clear_buffer(pixels, 0, Some(pixel_bytes));
+        encoder.clear_buffer(pixels, 0, Some(bytes_of(&frames[1])));
+        let mut dispatches = 0;
         {
             let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
                 label: Some("points"),
                 timestamp_writes: timer.compute_pass("points"),
             });
-            pass.set_bind_group(0, &frame_group, &[]);
+            pass.set_bind_group(0, &points_group, &[]);
             pass.set_bind_group(2, &draw_pixels, &[]);
-            for (kind, range) in &self.batch_list.groups {
-                let first_byte = range.start as u64 * BATCH_BYTES;
-                let bytes = range.len() as u64 * BATCH_BYTES;
-                let scene = bind(
-                    gpu,
-                    &self.scene_layout,
-                    &[
+            for &color_pass in color_passes(self.atomics) {
+                for (kind, range) in &self.batch_list.groups {
+                    let first_byte = range.start as u64 * BATCH_BYTES;
+                    let bytes = range.len() as u64 * BATCH_BYTES;
+                    let buffers = [
                         part(nodes, 0, size_of_val(&table.nodes[..]) as u64),
                         whole(arena.buffer(kind.shard)),
                         part(batches, first_byte, bytes),
-                    ],
-                );
-                pass.set_pipeline(&self.points[variant(kind.wide, kind.single_pixels)]);
-                pass.set_bind_group(1, &scene, &[]);
-                let row = (range.len() as u32).min(MAX_WORKGROUPS_PER_ROW);
-                pass.dispatch_workgroups(row, (range.len() as u32).div_ceil(row), 1);
+                    ];
+                    let scene = bind(gpu, &self.scene_layout, &buffers);
+                    let variant = Variant::of(kind, frame.splat_shape, color_pass);
+                    let known = self.pipelines.iter().find(|(known, _)| *known == variant);
+                    pass.set_pipeline(&known.expect("it was just compiled").1);
+                    pass.set_bind_group(1, &scene, &[]);
+                    let row = (range.len() as u32).min(MAX_WORKGROUPS_PER_ROW);
+                    pass.dispatch_workgroups(row, (range.len() as u32).div_ceil(row), 1);
+                    dispatches += 1;
+                }
             }
         }
+        let resolved = match margin_px {
+            0 => drawn,
+            _ => {
+                if self.grow.is_none() {
+                    self.grow = Some(Grow::new(gpu, &self.frame_layout)?);
+                }
+                let grow = self.grow.as_mut().expect("it was just made");
+                dispatches += grow.draw(gpu, encoder, timer, &frames[0], &frame_group, drawn)?;
+                self.grew = true;
+                part(grow.pixels().expect("it just drew"), 0, bytes_of(&frames[0]))
+            }
+        };
+        let resolve_pixels = bind(gpu, &self.resolve_pixels_layout, &[resolved]);
         let (color, depth) = targets.cleared(frame.background);
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("resolve"),
             color_attachments: &[Some(color)],
-            depth_stencil_attachment: Some(depth),
+            depth_stencil_attachment: depth,
             timestamp_writes: timer.render_pass("resolve"),
             ..Default::default()
         });
@@ -167,21 +235,21 @@ impl PointsCompute {
         pass.set_bind_group(2, &resolve_pixels, &[]);
         pass.draw(0..3, 0..1);
         drop(pass);
-        Ok(DrawCounts {
-            dispatches: self.batch_list.groups.len() as u32,
-            draw_calls: 1,
-            uploaded_bytes,
-        })
+        Ok(DrawCounts { dispatches, draw_calls: 1, uploaded_bytes })
     }
 
     /// Distances of whole rows of the last target drawn, infinite where nothing is. Waits for the
     /// GPU.
     pub fn distances_of_rows(&self, gpu: &Gpu, rows: Range<u32>) -> Result<Vec<f32>, GpuError> {
         let [width, height] = self.target_px;
-        let Some(pixels) = self.pixels.get().filter(|_| rows.end <= height) else {
+        let pixels = match &self.grow {
+            Some(grow) if self.grew => grow.pixels(),
+            _ => self.pixels.get(),
+        };
+        let Some(pixels) = pixels.filter(|_| rows.end <= height) else {
             return Ok(Vec::new());
         };
-        let row_bytes = 8 * u64::from(width);
+        let row_bytes = PIXEL_BYTES * u64::from(width);
         let (offset, bytes) = (u64::from(rows.start) * row_bytes, rows.len() as u64 * row_bytes);
         let bytes = read_buffer(gpu, pixels, offset, bytes)?;
         let words: Vec<u32> = bytemuck::pod_collect_to_vec(&bytes);
@@ -197,126 +265,65 @@ impl PointsCompute {
         [&self.frame, &self.nodes, &self.batches, &self.pixels]
             .map(GrowingBuffer::held_bytes)
             .iter()
-            .sum()
+            .sum::<u64>()
+            + self.grow.as_ref().map_or(0, Grow::held_bytes)
     }
+
+    /// Makes the pipelines that this frame's kinds of batches need and no frame needed before.
+    fn compile(&mut self, gpu: &Gpu, shape: u32) -> Result<(), GpuError> {
+        for (kind, _) in &self.batch_list.groups {
+            for &color_pass in color_passes(self.atomics) {
+                let variant = Variant::of(kind, shape, color_pass);
+                if self.pipelines.iter().any(|(known, _)| *known == variant) {
+                    continue;
+                }
+                let mut constants = vec![
+                    ("WIDE_NODES", f64::from(variant.wide)),
+                    ("SINGLE_PIXELS", f64::from(variant.single_pixels)),
+                    ("PARTLY", f64::from(variant.partly)),
+                    ("SPLAT_SHAPE", f64::from(variant.shape)),
+                ];
+                if self.atomics == PixelAtomics::Narrow {
+                    constants.push(("COLOR_PASS", f64::from(color_pass)));
+                }
+                let pipeline = gpu.checked("build a point pipeline", || {
+                    let entry = "draw_points";
+                    compute_pipeline(gpu, &self.draw_layout, &self.shader, entry, &constants)
+                })?;
+                self.pipelines.push((variant, pipeline));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Variant {
+    fn of(kind: &BatchKind, shape: u32, color_pass: bool) -> Self {
+        Variant {
+            wide: kind.wide,
+            single_pixels: kind.single_pixels,
+            partly: kind.partly,
+            // Single pixels have no shape.
+            shape: if kind.single_pixels { SQUARE } else { shape },
+            color_pass,
+        }
+    }
+}
+
+/// The passes over all points: whether each is for colours.
+fn color_passes(atomics: PixelAtomics) -> &'static [bool] {
+    match atomics {
+        PixelAtomics::Narrow => &[false, true],
+        _ => &[false],
+    }
+}
+
+/// Bytes, followed by zeros up to the offset that every adapter allows.
+fn padded_to_256(bytes: &[u8]) -> [u8; 256] {
+    let mut padded = [0; 256];
+    padded[..bytes.len()].copy_from_slice(bytes);
+    padded
 }
 
 /// Within the limit that every adapter grants.
 const MAX_WORKGROUPS_PER_ROW: u32 = 32_768;
-
-/// Index in [`KINDS`].
-fn variant(wide: bool, single_pixels: bool) -> usize {
-    2 * usize::from(wide) + usize::from(single_pixels)
-}
-
-/// A layout of buffers, bound in order.
-pub(super) fn layout(
-    gpu: &Gpu,
-    label: &str,
-    entries: &[(wgpu::ShaderStages, wgpu::BufferBindingType)],
-) -> wgpu::BindGroupLayout {
-    let entries: Vec<_> = entries
-        .iter()
-        .zip(0..)
-        .map(|(&(visibility, ty), binding)| wgpu::BindGroupLayoutEntry {
-            binding,
-            visibility,
-            ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None },
-            count: None,
-        })
-        .collect();
-    gpu.device().create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-        label: Some(label),
-        entries: &entries,
-    })
-}
-
-/// Buffers for a layout, in order.
-pub(super) fn bind(
-    gpu: &Gpu,
-    layout: &wgpu::BindGroupLayout,
-    buffers: &[wgpu::BindingResource],
-) -> wgpu::BindGroup {
-    let entries: Vec<_> = buffers
-        .iter()
-        .zip(0..)
-        .map(|(resource, binding)| wgpu::BindGroupEntry { binding, resource: resource.clone() })
-        .collect();
-    gpu.device().create_bind_group(&wgpu::BindGroupDescriptor {
-        label: None,
-        layout,
-        entries: &entries,
-    })
-}
-
-/// A whole buffer as a binding.
-pub(super) fn whole(buffer: &wgpu::Buffer) -> wgpu::BindingResource<'_> {
-    buffer.as_entire_binding()
-}
-
-/// Bytes of a buffer as a binding.
-pub(super) fn part(buffer: &wgpu::Buffer, offset: u64, bytes: u64) -> wgpu::BindingResource<'_> {
-    let size = NonZeroU64::new(bytes);
-    wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer, offset, size })
-}
-
-fn compute_pipeline(
-    gpu: &Gpu,
-    shader: &wgpu::ShaderModule,
-    groups: &[Option<&wgpu::BindGroupLayout>],
-    wide: bool,
-    single_pixels: bool,
-) -> wgpu::ComputePipeline {
-    let layout = gpu.device().create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-        label: Some("points"),
-        bind_group_layouts: groups,
-        immediate_size: 0,
-    });
-    gpu.device().create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-        label: Some("points"),
-        layout: Some(&layout),
-        module: shader,
-        entry_point: Some("draw_points"),
-        compilation_options: wgpu::PipelineCompilationOptions {
-            constants: &[
-                ("WIDE_NODES", f64::from(wide)),
-                ("SINGLE_PIXELS", f64::from(single_pixels)),
-            ],
-            ..Default::default()
-        },
-        cache: None,
-    })
-}
-
-fn resolve_pipeline(
-    gpu: &Gpu,
-    shader: &wgpu::ShaderModule,
-    groups: &[Option<&wgpu::BindGroupLayout>],
-) -> wgpu::RenderPipeline {
-    let layout = gpu.device().create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-        label: Some("resolve"),
-        bind_group_layouts: groups,
-        immediate_size: 0,
-    });
-    gpu.device().create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-        label: Some("resolve"),
-        layout: Some(&layout),
-        vertex: wgpu::VertexState {
-            module: shader,
-            entry_point: Some("cover_target"),
-            compilation_options: Default::default(),
-            buffers: &[],
-        },
-        primitive: wgpu::PrimitiveState::default(),
-        depth_stencil: Some(Targets::depth_state(wgpu::CompareFunction::Always)),
-        multisample: wgpu::MultisampleState::default(),
-        fragment: Some(wgpu::FragmentState {
-            module: shader,
-            entry_point: Some("resolve"),
-            compilation_options: Default::default(),
-            targets: &[Some(Targets::COLOR_FORMAT.into())],
-        }),
-        multiview_mask: None,
-        cache: None,
-    })
-}

@@ -8,8 +8,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::prelude::*;
 
-use crate::gpu::layout::{GpuBatch, GpuFrame};
-use crate::passes::splat::{local_cell, splat_of};
+use crate::gpu::layout::{GpuBatch, GpuFrame, ROUND, SQUARE};
+use crate::passes::splat::{
+    ball_color, ball_distance, ball_height, is_kept, local_cell, splat_of, splat_reach,
+};
 use crate::passes::{Batches, DrawTable, Picture};
 
 /// The words of one drawn node in memory.
@@ -79,18 +81,37 @@ fn draw_batch(
     let NodeWords { positions, colors } = words[slot];
     let [width, height] = frame.target_px.map(|side| side as i32);
     let (first, end) = (batch.first_point as usize, batch.end_point as usize);
-    for (point, color) in (first..end).zip(&colors[first..end]) {
+    let partly = node.whole_count < batch.end_point;
+    let put = |at: usize, nearness: u32, color: u32| {
+        let pixel = &pixels[at];
+        // Most points are hidden: they pay neither for a colour nor for an atomic.
+        if (pixel.load(Ordering::Relaxed) >> 32) as u32 <= nearness {
+            pixel.fetch_max(u64::from(nearness) << 32 | u64::from(!color), Ordering::Relaxed);
+        }
+    };
+    for (point, &color) in (first..end).zip(&colors[first..end]) {
+        if partly && !is_kept(node, point as u32) {
+            continue;
+        }
         let cell = local_cell(node, positions, point);
         let Some(splat) = splat_of(frame, &table.nodes, slot, cell) else { continue };
         let nearness = !splat.distance.to_bits();
+        let side = splat.size_px as f32;
         let columns = splat.corner[0].max(0)..(splat.corner[0] + splat.size_px).min(width);
         for y in splat.corner[1].max(0)..(splat.corner[1] + splat.size_px).min(height) {
             for x in columns.clone() {
-                let pixel = &pixels[y as usize * width as usize + x as usize];
-                // Most points are hidden: they pay neither for a colour nor for an atomic.
-                if (pixel.load(Ordering::Relaxed) >> 32) as u32 <= nearness {
-                    let value = u64::from(nearness) << 32 | u64::from(!color);
-                    pixel.fetch_max(value, Ordering::Relaxed);
+                let at = y as usize * width as usize + x as usize;
+                if frame.splat_shape == SQUARE || splat.size_px == 1 {
+                    put(at, nearness, color);
+                    continue;
+                }
+                let reach = splat_reach([x - splat.corner[0], y - splat.corner[1]], side);
+                if reach <= 1.0 && frame.splat_shape == ROUND {
+                    put(at, nearness, color);
+                } else if reach <= 1.0 {
+                    let height = ball_height(reach);
+                    let distance = ball_distance(frame, splat.distance, side, height);
+                    put(at, !distance.to_bits(), ball_color(color, height));
                 }
             }
         }

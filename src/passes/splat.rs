@@ -1,9 +1,9 @@
 //! From the words of a point to the square of pixels that it covers: the twin of
-//! `shaders/shared/splat.wgsl`, operation by operation, so that pixels agree.
+//! `shaders/shared/splat.wgsl` and `splat_shape.wgsl`, operation by operation, so that pixels agree.
 //!
 //! f32 relative to the eye; pixels of the target, y down. No culling of nodes here.
 
-use crate::gpu::layout::{GpuFrame, GpuNode, NARROW_BITS};
+use crate::gpu::layout::{GpuFrame, GpuNode, NARROW_BITS, ROUND};
 
 /// The square of pixels of one point.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -95,24 +95,78 @@ pub fn finest_splat_px_m(nodes: &[GpuNode], slot: usize, cell: [u32; 3]) -> f32 
 pub fn splat_px(frame: &GpuFrame, nodes: &[GpuNode], slot: usize, cell: [u32; 3], w: f32) -> f32 {
     let splat_px_m = nodes[slot].splat_px_m;
     // A node's size bounds the sizes below it: nothing to look up for splats of one pixel.
-    if splat_px_m <= w {
+    if splat_px_m <= w && frame.min_splat_px <= 1.0 {
         return 1.0;
     }
     let px_m = match frame.per_point_splats {
         0 => splat_px_m,
         _ => finest_splat_px_m(nodes, slot, cell),
     };
-    (px_m / w).clamp(1.0, frame.max_splat_px).ceil()
+    splat_side(frame, px_m, w)
 }
 
-/// The square of a point: centred on it, its side rounded up to whole pixels. `None` if it lies
-/// before the near plane or outside of the target.
+/// Side of a splat of so many pixels at 1 m, seen from `w`: whole pixels.
+#[inline]
+pub fn splat_side(frame: &GpuFrame, splat_px_m: f32, w: f32) -> f32 {
+    let side = (splat_px_m / w).max(frame.min_splat_px).min(frame.max_splat_px).ceil();
+    if frame.splat_shape == ROUND && frame.nested_splats != 0 {
+        // Discs lie within larger ones only if they have the same middle.
+        return side + 1.0 - side % 2.0;
+    }
+    side
+}
+
+/// Whether a point is drawn of a node of which only a share is.
+#[inline]
+pub fn is_kept(node: &GpuNode, point: u32) -> bool {
+    point < node.whole_count || scramble(point) < node.kept_share
+}
+
+/// A number that looks random; another for each point of a node, the same in each frame.
+#[inline]
+fn scramble(point: u32) -> u32 {
+    let x = point.wrapping_mul(0x9e37_79b1);
+    let x = (x ^ x >> 15).wrapping_mul(0x85eb_ca77);
+    let x = (x ^ x >> 13).wrapping_mul(0xc2b2_ae3d);
+    x ^ x >> 16
+}
+
+/// Square of a pixel's distance from the middle of the splat, of that of the rim: above 1 is
+/// outside. `offset` counts pixels from the first of the square.
+#[inline]
+pub fn splat_reach(offset: [i32; 2], side: f32) -> f32 {
+    let [x, y] = offset.map(|offset| offset as f32 + (0.5 - 0.5 * side));
+    (x * x + y * y) / (0.25 * side * side)
+}
+
+/// Height of a ball above its rim where [`splat_reach`] is `reach`, of its radius.
+#[inline]
+pub fn ball_height(reach: f32) -> f32 {
+    (1.0 - reach).sqrt()
+}
+
+/// Distance of the ball's surface there.
+#[inline]
+pub fn ball_distance(frame: &GpuFrame, w: f32, side: f32, height: f32) -> f32 {
+    (w * (1.0 - height * (0.5 * side * frame.pixel_m))).max(frame.near)
+}
+
+/// A colour as bright as a ball is there: lit from the eye.
+#[inline]
+pub fn ball_color(color: u32, height: f32) -> u32 {
+    let light = 0.35 + 0.65 * height;
+    let lit = |shift: u32| ((((color >> shift) & 0xff) as f32 * light + 0.5) as u32) << shift;
+    lit(0) | lit(8) | lit(16) | color & 0xff00_0000
+}
+
+/// The square of a point: around it, its side rounded up to whole pixels. `None` if it lies before
+/// the near plane or outside of the target.
 #[inline]
 pub fn splat_of(frame: &GpuFrame, nodes: &[GpuNode], slot: usize, cell: [u32; 3]) -> Option<Splat> {
     let [xw, yw, w] = screen_of(frame, eye_relative(&nodes[slot], cell));
     let inverse = 1.0 / w;
     let center = [xw * inverse + frame.center_px[0], yw * inverse + frame.center_px[1]];
-    let margin = 0.5 * frame.max_splat_px + 1.0;
+    let margin = 0.5 * frame.max_splat_px + 2.0;
     // Written so that NaN fails too.
     let inside = |axis: usize| {
         center[axis] > -margin && center[axis] < frame.target_px[axis] as f32 + margin
@@ -121,7 +175,10 @@ pub fn splat_of(frame: &GpuFrame, nodes: &[GpuNode], slot: usize, cell: [u32; 3]
         return None;
     }
     let size = splat_px(frame, nodes, slot, cell, w);
-    let corner = center.map(|c| (c - (0.5 * size - 0.5)).floor() as i32);
+    let corner = match frame.nested_splats {
+        0 => center.map(|c| (c - (0.5 * size - 0.5)).floor() as i32),
+        _ => center.map(|c| (c.floor() - (0.5 * size - 0.5).floor()) as i32),
+    };
     Some(Splat { corner, size_px: size as i32, distance: w })
 }
 

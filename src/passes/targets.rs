@@ -3,15 +3,14 @@
 use crate::gpu::{Gpu, GpuError, read_texture};
 use crate::passes::Picture;
 
-/// Colour and reversed-z depth of one size.
+/// Colour and, mostly, reversed-z depth of one size.
 #[derive(Debug)]
 pub struct Targets {
     width_px: u32,
     height_px: u32,
     color: wgpu::Texture,
-    depth: wgpu::Texture,
     color_view: wgpu::TextureView,
-    depth_view: wgpu::TextureView,
+    depth: Option<(wgpu::Texture, wgpu::TextureView)>,
 }
 
 impl Targets {
@@ -22,6 +21,15 @@ impl Targets {
 
     /// Textures of that size, which the device must allow.
     pub fn new(gpu: &Gpu, width_px: u32, height_px: u32) -> Result<Self, GpuError> {
+        Targets::of(gpu, width_px, height_px, true)
+    }
+
+    /// A texture for colours alone.
+    pub fn without_depth(gpu: &Gpu, width_px: u32, height_px: u32) -> Result<Self, GpuError> {
+        Targets::of(gpu, width_px, height_px, false)
+    }
+
+    fn of(gpu: &Gpu, width_px: u32, height_px: u32, has_depth: bool) -> Result<Self, GpuError> {
         gpu.checked("hold the picture", || {
             let texture = |label, format| {
                 gpu.device().create_texture(&wgpu::TextureDescriptor {
@@ -42,10 +50,13 @@ impl Targets {
                 })
             };
             let color = texture("points color", Self::COLOR_FORMAT);
-            let depth = texture("points depth", Self::DEPTH_FORMAT);
             let color_view = color.create_view(&Default::default());
-            let depth_view = depth.create_view(&Default::default());
-            Targets { width_px, height_px, color, depth, color_view, depth_view }
+            let depth = has_depth.then(|| {
+                let depth = texture("points depth", Self::DEPTH_FORMAT);
+                let view = depth.create_view(&Default::default());
+                (depth, view)
+            });
+            Targets { width_px, height_px, color, color_view, depth }
         })
     }
 
@@ -54,26 +65,33 @@ impl Targets {
         self.width_px == width_px && self.height_px == height_px
     }
 
+    /// Width and height.
+    pub fn size_px(&self) -> (u32, u32) {
+        (self.width_px, self.height_px)
+    }
+
     /// Colour, to be attached or sampled.
     pub fn color_view(&self) -> &wgpu::TextureView {
         &self.color_view
     }
 
     /// Depth, to be attached or sampled.
-    pub fn depth_view(&self) -> &wgpu::TextureView {
-        &self.depth_view
+    pub fn depth_view(&self) -> Option<&wgpu::TextureView> {
+        self.depth.as_ref().map(|(_, view)| view)
     }
 
-    /// Bytes of both textures.
+    /// Bytes of the textures.
     pub fn held_bytes(&self) -> u64 {
-        8 * u64::from(self.width_px) * u64::from(self.height_px)
+        let textures = 1 + u64::from(self.depth.is_some());
+        4 * textures * u64::from(self.width_px) * u64::from(self.height_px)
     }
 
     /// The attachments of a pass that begins with an empty picture.
     pub fn cleared(
         &self,
         background: u32,
-    ) -> (wgpu::RenderPassColorAttachment<'_>, wgpu::RenderPassDepthStencilAttachment<'_>) {
+    ) -> (wgpu::RenderPassColorAttachment<'_>, Option<wgpu::RenderPassDepthStencilAttachment<'_>>)
+    {
         let [r, g, b, a] = background.to_le_bytes().map(|byte| f64::from(byte) / 255.0);
         let color = wgpu::RenderPassColorAttachment {
             view: &self.color_view,
@@ -84,14 +102,14 @@ impl Targets {
                 store: wgpu::StoreOp::Store,
             },
         };
-        let depth = wgpu::RenderPassDepthStencilAttachment {
-            view: &self.depth_view,
+        let depth = self.depth.as_ref().map(|(_, view)| wgpu::RenderPassDepthStencilAttachment {
+            view,
             depth_ops: Some(wgpu::Operations {
                 load: wgpu::LoadOp::Clear(0.0),
                 store: wgpu::StoreOp::Store,
             }),
             stencil_ops: None,
-        };
+        });
         (color, depth)
     }
 
@@ -101,7 +119,7 @@ impl Targets {
         encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("clear"),
             color_attachments: &[Some(color)],
-            depth_stencil_attachment: Some(depth),
+            depth_stencil_attachment: depth,
             ..Default::default()
         });
     }
@@ -117,21 +135,14 @@ impl Targets {
         }
     }
 
-    /// The picture, read back; distances come from depth and are as exact as it is.
-    pub fn read(&self, gpu: &Gpu, near: f32) -> Result<Picture, GpuError> {
-        let colors = read_texture(gpu, &self.color)?;
-        let depths = read_texture(gpu, &self.depth)?;
-        Ok(Picture {
-            width_px: self.width_px,
-            height_px: self.height_px,
-            colors: bytemuck::pod_collect_to_vec(&colors),
-            distances: depths
-                .chunks_exact(4)
-                .map(|bytes| {
-                    near / f32::from_le_bytes(bytes.try_into().expect("the chunk has 4 bytes"))
-                })
-                .collect(),
-        })
+    /// The distances, read back from depth and as exact as it is; none without depth.
+    pub fn read_distances(&self, gpu: &Gpu, near: f32) -> Result<Vec<f32>, GpuError> {
+        let Some((depth, _)) = &self.depth else { return Ok(Vec::new()) };
+        let depths = read_texture(gpu, depth)?;
+        let distance = |bytes: &[u8]| {
+            near / f32::from_le_bytes(bytes.try_into().expect("the chunk has 4 bytes"))
+        };
+        Ok(depths.chunks_exact(4).map(distance).collect())
     }
 
     /// The colours alone, read back; the picture has no distances.

@@ -95,7 +95,7 @@ impl Default for CutSettings {
 }
 
 /// One node to draw.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DrawNode {
     /// Which.
     pub node: NodeId,
@@ -105,6 +105,8 @@ pub struct DrawNode {
     /// [`SplatPolicy::PerPoint`](crate::select::SplatPolicy::PerPoint) it is the node's own, and
     /// drawn descendants refine it point by point.
     pub splat_level: u32,
+    /// Share of these points that is drawn, 0..=1; below 1 only where levels pass continuously.
+    pub share: f32,
 }
 
 /// One node to load.
@@ -444,7 +446,7 @@ impl Walk<'_> {
             Availability::Resident => {
                 cut.counters.nodes_drawn += 1;
                 cut.counters.points_drawn += u64::from(count);
-                cut.draw.push(DrawNode { node, count, splat_level: 0 });
+                cut.draw.push(DrawNode { node, count, splat_level: 0, share: 1.0 });
                 self.wanted[octree].push(0);
             }
             Availability::Absent => {

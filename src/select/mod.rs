@@ -13,4 +13,4 @@ pub use cut::{
     Residency, select_nodes, select_scene,
 };
 pub use level::{CellSpan, LevelRule, RuleCell, off_axis_cosine, projected_px, required_level};
-pub use splat::{DrawnRow, SplatPolicy, SplatSettings};
+pub use splat::{DrawnRow, SplatDrawing, SplatPolicy, SplatSettings, SplatShape, SplatSize};

@@ -43,23 +43,112 @@ impl SplatPolicy {
     }
 }
 
-/// How large the points are drawn.
+/// What decides how large a point is drawn.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum SplatSize {
+    /// The spacing of the points drawn around it: gaps close, detail stays.
+    #[default]
+    Adaptive,
+    /// The same on screen everywhere.
+    Fixed {
+        /// Side, pixels.
+        px: f64,
+    },
+    /// The same in the world everywhere, smaller far away.
+    Attenuated {
+        /// Side, metres.
+        length: f64,
+    },
+}
+
+impl SplatSize {
+    /// The mode in words, for options, tables and plots.
+    pub fn name(self) -> &'static str {
+        match self {
+            SplatSize::Adaptive => "adaptive",
+            SplatSize::Fixed { .. } => "fixed",
+            SplatSize::Attenuated { .. } => "attenuated",
+        }
+    }
+}
+
+/// What a point larger than a pixel looks like.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum SplatShape {
+    /// A square of whole pixels: no gaps between neighbours.
+    #[default]
+    Square,
+    /// A disc.
+    Round,
+    /// A ball lit from the eye, nearer in the middle: points stand apart.
+    Sphere,
+}
+
+impl SplatShape {
+    /// All shapes.
+    pub const ALL: [SplatShape; 3] = [SplatShape::Square, SplatShape::Round, SplatShape::Sphere];
+
+    /// The shape in words, for options, tables and plots.
+    pub fn name(self) -> &'static str {
+        match self {
+            SplatShape::Square => "square",
+            SplatShape::Round => "round",
+            SplatShape::Sphere => "sphere",
+        }
+    }
+}
+
+/// How splats that share a size are drawn; the picture is the same.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum SplatDrawing {
+    /// Whichever takes less time by the number of points and pixels.
+    #[default]
+    Auto,
+    /// Each point writes all its pixels.
+    OneByOne,
+    /// Each point writes one pixel; splats are grown from these in screen space. Sizes that differ
+    /// from node to node and balls are drawn one by one all the same.
+    Grown,
+}
+
+/// How large the points are drawn, and what they look like.
 ///
-/// A splat's side is `multiplier` times the cell edge of its level, as large as it appears at the
-/// point's depth, at least one pixel and at most `max_px`; `passes` rounds it up to whole pixels.
+/// An adaptive splat's side is `multiplier` times the cell edge of its level, as large as it
+/// appears at the point's depth. Sides are at least one pixel and at most `max_px`; `passes` rounds
+/// them up to whole pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SplatSettings {
-    /// Which drawn level sets the size.
+    /// What decides the size.
+    pub size: SplatSize,
+    /// What they look like.
+    pub shape: SplatShape,
+    /// Which drawn level sets an adaptive size.
     pub policy: SplatPolicy,
     /// Factor on the size, 0.5..=4, default 1. Larger closes gaps of sparse data and blurs.
     pub multiplier: f64,
     /// Largest size, pixels, default 24. Smaller bounds the cost of near views and shows gaps there.
     pub max_px: f64,
+    /// How splats that share a size are drawn; for measurements.
+    pub drawing: SplatDrawing,
 }
 
 impl Default for SplatSettings {
     fn default() -> Self {
-        SplatSettings { policy: SplatPolicy::default(), multiplier: 1.0, max_px: 24.0 }
+        SplatSettings {
+            size: SplatSize::default(),
+            shape: SplatShape::default(),
+            policy: SplatPolicy::default(),
+            multiplier: 1.0,
+            max_px: 24.0,
+            drawing: SplatDrawing::default(),
+        }
+    }
+}
+
+impl SplatSettings {
+    /// Whether a point takes the size of the deepest drawn node around it.
+    pub fn takes_finest_around(&self) -> bool {
+        self.size == SplatSize::Adaptive && self.policy == SplatPolicy::PerPoint
     }
 }
 
@@ -254,7 +343,12 @@ mod tests {
     fn linked(drawn: &[(u32, u32)], requested: &[u32], policy: SplatPolicy) -> (Cut, Vec<u32>) {
         let draw = drawn
             .iter()
-            .map(|&(node, count)| DrawNode { node: NodeId(node), count, splat_level: 0 })
+            .map(|&(node, count)| DrawNode {
+                node: NodeId(node),
+                count,
+                splat_level: 0,
+                share: 1.0,
+            })
             .collect();
         let requests = requested
             .iter()

@@ -300,11 +300,7 @@ fn open_renderer(
         return Ok((Renderer::on_gpu(Arc::clone(gpu), path, limit_bytes)?, Vec::new()));
     }
     let mut problems = Vec::new();
-    let able = [
-        (RasterPath::Compute, gpu.draws_by_compute()),
-        (RasterPath::Raster, gpu.draws_by_raster()),
-    ];
-    for (path, _) in able.into_iter().filter(|(_, is_able)| *is_able) {
+    for path in RasterPath::offered_by(gpu) {
         match Renderer::on_gpu(Arc::clone(gpu), path, limit_bytes) {
             Ok(renderer) => return Ok((renderer, problems)),
             Err(error) => problems.push(format!("{error}; another way of drawing is used")),

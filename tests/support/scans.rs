@@ -98,7 +98,11 @@ impl Scan {
     pub fn draw(&self, cut: &Cut, view: &View, splat: &SplatSettings) -> Picture {
         let place = |_| NodePlace::default();
         let mut table = DrawTable::default();
-        table.fill(&[CloudDraw { octree: &self.octree, cut, place: &place }], view, splat);
+        table.fill(
+            &[CloudDraw { octree: &self.octree, cut, place: &place, appeared: None }],
+            view,
+            splat,
+        );
         assert_eq!(table.draws.len(), cut.draw.len(), "one draw per node");
         let words = cut.table.iter().map(|row| {
             let (positions, colors) = &self.words[row.node.index()];

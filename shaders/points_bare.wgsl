@@ -1,10 +1,9 @@
 // The least that drawing points by compute can be: every thread one point of one flat list, the
 // same decoding, projection, depth test and atomic as shaders/points_compute.wgsl, but no batch,
 // no node table, no splat size.
+// In: frame, nodes (one row), words. Out: pixels. The suites measure passes against it.
 #import shared/splat
-#import nearest_so_far
-
-@group(2) @binding(0) var<storage, read_write> pixels: array<atomic<u64>>;
+#import pixels
 
 @compute @workgroup_size(128)
 fn draw_bare(
@@ -27,7 +26,7 @@ fn draw_bare(
     let at = vec2<u32>(center);
     let pixel = at.y * frame.target_px.x + at.x;
     let nearness = ~bitcast<u32>(screen.z);
-    if nearest_so_far(pixel) <= nearness {
-        atomicMax(&pixels[pixel], (u64(nearness) << 32u) | u64(~words[node.colors_at + point]));
+    if !is_hidden(pixel, nearness) {
+        put_point(pixel, nearness, node.colors_at + point);
     }
 }

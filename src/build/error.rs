@@ -64,6 +64,14 @@ pub enum BuildError {
         /// The output.
         path: PathBuf,
     },
+    /// A scan cannot join a store as it is.
+    #[error("{path}: cannot be appended: {reason}", path = path.display())]
+    Append {
+        /// What stands against it.
+        reason: String,
+        /// The scan, or the store.
+        path: PathBuf,
+    },
     /// Points of a later pass are not those of the first.
     #[error("an input file changed while it was being read")]
     Changed,

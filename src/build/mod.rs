@@ -7,6 +7,7 @@
 //! for byte, for any number of threads and any memory cap.
 //! After: Wimmer and Scheiblauer, "Instant Points", 2006; departures: `docs/instant-points.md`.
 
+mod append;
 mod budget;
 mod checkpoint;
 mod chunk;
@@ -31,6 +32,7 @@ mod steps;
 mod survey;
 mod work;
 
+pub use append::{AppendReport, append};
 pub use convert::{ConvertReport, convert, convert_sources};
 pub use error::BuildError;
 pub use machine::available_memory;

@@ -54,6 +54,12 @@ impl RowLayout {
         }
     }
 
+    /// Changes a row's index.
+    pub fn set_index<K: MortonKey>(&self, row: &mut [u8], index: u64) {
+        row[K::BYTES..K::BYTES + self.index_bytes]
+            .copy_from_slice(&index.to_le_bytes()[..self.index_bytes]);
+    }
+
     /// Place of a row's point in the whole input.
     #[inline]
     pub fn index(&self, row: &[u8]) -> u64 {

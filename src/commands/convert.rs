@@ -1,14 +1,15 @@
 //! `esker convert`: scan files into one store.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use anyhow::Context;
 use clap::Args;
 
-use crate::build::{self, ConvertOptions, ConvertReport, DEPTH_RANGE, Representative};
+use crate::build::{self, AppendReport, ConvertOptions, DEPTH_RANGE, Representative};
 use crate::commands::inputs;
 use crate::commands::progress::{ProgressKind, listener};
 use crate::commands::quantities::{parse_bytes, show_bytes};
@@ -23,8 +24,11 @@ pub struct ConvertArgs {
     #[arg(required = true)]
     inputs: Vec<PathBuf>,
     /// The store to write
-    #[arg(short, long, value_name = "OUT.esker")]
-    output: PathBuf,
+    #[arg(short, long, value_name = "OUT.esker", required_unless_present = "append")]
+    output: Option<PathBuf>,
+    /// Add the points of the scans to this store, in place
+    #[arg(long, value_name = "STORE", conflicts_with_all = ["output", "overwrite", "depth", "threshold"])]
+    append: Option<PathBuf>,
     /// Most memory to use, such as 4GiB [default: half of what there is]
     #[arg(long, value_parser = parse_bytes)]
     memory: Option<u64>,
@@ -88,7 +92,13 @@ pub fn run(args: ConvertArgs) -> anyhow::Result<ExitCode> {
     }
     let progress = listener(args.progress);
     let cancelled = cancelled_by_signal();
-    let report = build::convert(&files, &args.output, &options, &*progress, &cancelled)?;
+    if let Some(store) = &args.append {
+        let report = build::append(store, &files, &options, &*progress, &cancelled)?;
+        drop(progress);
+        return tell_append(store, &report, &options, began, args.json);
+    }
+    let output = args.output.context("an output or a store to append to is needed")?;
+    let report = build::convert(&files, &output, &options, &*progress, &cancelled)?;
     drop(progress);
     for warning in &report.warnings {
         eprintln!("esker: {warning}");
@@ -105,7 +115,7 @@ pub fn run(args: ConvertArgs) -> anyhow::Result<ExitCode> {
             "points_per_second": report.points as f64 / seconds,
             "memory_bytes": options.memory_bytes,
             "peak_rss_bytes": peak,
-            "output": args.output,
+            "output": output,
         });
         if let (Some(object), serde_json::Value::Object(more)) = (json.as_object_mut(), more) {
             object.extend(more);
@@ -114,7 +124,7 @@ pub fn run(args: ConvertArgs) -> anyhow::Result<ExitCode> {
     } else {
         println!(
             "{}: {} points in {} nodes, {} ({:.2} bytes a point), {seconds:.2} s, {:.2} M points/s{}",
-            args.output.display(),
+            output.display(),
             report.points,
             report.nodes,
             show_bytes(report.output_bytes),
@@ -122,7 +132,49 @@ pub fn run(args: ConvertArgs) -> anyhow::Result<ExitCode> {
             report.points as f64 / seconds / 1e6,
             peak.map_or(String::new(), |peak| format!(", at most {} of memory", show_bytes(peak))),
         );
-        print_account(&report);
+        print_account(&report.sources);
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Tells what an addition to a store did.
+fn tell_append(
+    store: &Path,
+    report: &AppendReport,
+    options: &ConvertOptions,
+    began: Instant,
+    json: bool,
+) -> anyhow::Result<ExitCode> {
+    for warning in &report.warnings {
+        eprintln!("esker: {warning}");
+    }
+    let (seconds, peak) = (began.elapsed().as_secs_f64(), peak_rss_bytes());
+    if json {
+        let mut json = serde_json::to_value(report)?;
+        let more = serde_json::json!({
+            "seconds": seconds,
+            "points_per_second": report.new_points as f64 / seconds,
+            "memory_bytes": options.memory_bytes,
+            "peak_rss_bytes": peak,
+            "output": store,
+        });
+        if let (Some(object), serde_json::Value::Object(more)) = (json.as_object_mut(), more) {
+            object.extend(more);
+        }
+        println!("{json}");
+    } else {
+        println!(
+            "{}: {} points added, {} now in {} nodes, {} of them written ({}), {seconds:.2} s, \
+             {} no longer in use",
+            store.display(),
+            report.new_points,
+            report.points,
+            report.nodes,
+            report.nodes_written,
+            show_bytes(report.bytes_written),
+            show_bytes(report.unused_bytes),
+        );
+        print_account(&report.sources);
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -131,11 +183,11 @@ pub fn run(args: ConvertArgs) -> anyhow::Result<ExitCode> {
 const MOST_SOURCES_TOLD: usize = 20;
 
 /// Where the points of each source went, if that is not obvious.
-fn print_account(report: &ConvertReport) {
+fn print_account(sources: &[SourceInfo]) {
     let is_obvious = |source: &&SourceInfo| {
-        report.sources.len() == 1 && source.dropped.is_empty() && source.skipped.is_empty()
+        sources.len() == 1 && source.dropped.is_empty() && source.skipped.is_empty()
     };
-    let told = report.sources.iter().filter(|source| !is_obvious(source));
+    let told = sources.iter().filter(|source| !is_obvious(source));
     for source in told.clone().take(MOST_SOURCES_TOLD) {
         let scan = source.scan.as_ref().map_or(String::new(), |scan| format!(" ({scan})"));
         let kept = source.points - source.dropped_points().min(source.points);

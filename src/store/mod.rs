@@ -4,6 +4,7 @@
 //! colours and further attributes are separate, separately compressed and checksummed sections.
 
 mod account;
+mod append;
 mod blocks;
 mod bytes;
 mod check;
@@ -16,6 +17,7 @@ mod reader;
 mod records;
 mod writer;
 
+pub use append::StoreAppender;
 pub use blocks::encode_section;
 pub use bytes::StoreBytes;
 pub use check::{CheckReport, Finding, check};

@@ -86,13 +86,7 @@ impl Store {
         }
         let mut head = vec![0; file_bytes.min(HEADER_BYTES as u64) as usize];
         bytes.read_exact_at(&mut head, 0).map_err(io_error("cannot read the header"))?;
-        let damaged = |section, part: PartExtent, reason| StoreError::Section {
-            section,
-            start: part.offset,
-            end: part.offset + part.bytes,
-            reason,
-            path: path.into(),
-        };
+        let damaged = |section, part, reason| damaged(section, part, reason, path);
         let whole_header = PartExtent { offset: 0, bytes: head.len() as u64, checksum: 0 };
         let found = Header::find(&head).map_err(|error| match error {
             HeaderError::Magic => not_a_store("it does not begin like one"),
@@ -109,6 +103,30 @@ impl Store {
             let reason = format!("the file has {file_bytes} bytes, it says {}", header.file_bytes);
             return Err(damaged("header", whole_header, reason));
         }
+        Store::open_parts(bytes, found, head.len() as u64, path, coarse_bytes)
+    }
+
+    /// Opens the store that a header speaks of which is not in the file yet.
+    pub(super) fn open_at(
+        bytes: Box<dyn StoreBytes>,
+        header: Header,
+        path: &Path,
+    ) -> Result<Store, StoreError> {
+        let found = FoundHeader { header, other_is_damaged: false };
+        Store::open_parts(bytes, found, 0, path, 0)
+    }
+
+    fn open_parts(
+        bytes: Box<dyn StoreBytes>,
+        found: FoundHeader,
+        head_bytes: u64,
+        path: &Path,
+        coarse_bytes: u64,
+    ) -> Result<Store, StoreError> {
+        let header = found.header;
+        let io_error =
+            |action| move |source| StoreError::Io { action, source, path: path.to_path_buf() };
+        let damaged = |section, part, reason| damaged(section, part, reason, path);
         // One read: directory and metadata are neighbours, and so are the coarse nodes.
         let (first, last) = match header.version {
             1 => (header.metadata.offset, header.directory.offset + header.directory.bytes),
@@ -167,7 +185,7 @@ impl Store {
             );
             return Err(of_directory(reason));
         }
-        let read = (head.len() + front.len()) as u64;
+        let read = head_bytes + front.len() as u64;
         let coarse = if header.version == 1 { 0 } else { header.metadata.offset - first };
         front.truncate(coarse as usize);
         front.shrink_to_fit();
@@ -498,6 +516,11 @@ impl Store {
         self.reads.fetch_add(1, Ordering::Relaxed);
         Ok(())
     }
+}
+
+fn damaged(section: &'static str, part: PartExtent, reason: String, path: &Path) -> StoreError {
+    let (start, end) = (part.offset, part.offset + part.bytes);
+    StoreError::Section { section, start, end, reason, path: path.into() }
 }
 
 /// Version 1: start of each node's data; an error if the extents do not fill the data part exactly.

@@ -51,6 +51,24 @@ impl Store {
             }
         }
 
+        Ok(self.fill_attributes(node, records)?)
+    }
+
+    /// Replaces `records` by the records of a node's points, in stored order, without coordinates.
+    pub fn read_attribute_records(
+        &self,
+        node: NodeId,
+        records: &mut Vec<u8>,
+    ) -> Result<(), NodeReadError> {
+        let count = self.octree().node(node).point_count() as usize;
+        records.clear();
+        records.resize(count * self.metadata().schema.record_bytes as usize, 0);
+        self.fill_attributes(node, records)
+    }
+
+    fn fill_attributes(&self, node: NodeId, records: &mut [u8]) -> Result<(), NodeReadError> {
+        let schema = &self.metadata().schema;
+        let record_bytes = schema.record_bytes as usize;
         let mut column = Vec::new();
         for (i, attribute) in schema.attributes.iter().enumerate() {
             self.read_attribute(node, i, &mut column)?;

@@ -48,11 +48,13 @@ pub struct EncodedNode {
 
 /// A node whose place in the file is known, or which is held back.
 #[derive(Debug)]
-struct PlacedNode {
-    row: NodeRow,
-    sections: Vec<SectionExtent>,
+pub(super) struct PlacedNode {
+    /// What the directory says of it.
+    pub row: NodeRow,
+    /// Its sections.
+    pub sections: Vec<SectionExtent>,
     /// First byte in the file.
-    offset: u64,
+    pub offset: u64,
 }
 
 /// A node with its place, as it can be noted down.
@@ -80,7 +82,12 @@ pub type WriteHook<'a> = &'a (dyn Fn() -> io::Result<()> + Sync);
 /// Nodes this deep and no deeper are coarse, if they are small enough to wait in memory.
 const COARSE_DEPTH: u32 = 2;
 /// Most stored bytes of a coarse node: there are at most 73.
-const COARSE_BYTES: usize = 1 << 18;
+const COARSE_BYTES: u64 = 1 << 18;
+
+/// Whether a node is one of those that stand together at the end.
+pub(super) fn is_coarse(depth: u32, bytes: u64) -> bool {
+    depth <= COARSE_DEPTH && bytes <= COARSE_BYTES
+}
 
 /// Records of a source file that go into the appendix.
 #[derive(Debug)]
@@ -189,7 +196,7 @@ impl<'a> StoreWriter<'a> {
         let EncodedNode { row, sections, bytes } = node;
         let offset = self.end;
         let node = PlacedNode { row, sections, offset };
-        if node.row.depth <= COARSE_DEPTH && bytes.len() <= COARSE_BYTES {
+        if is_coarse(node.row.depth, bytes.len() as u64) {
             self.coarse.push((node, bytes.into_boxed_slice().into_vec()));
             return Ok(());
         }
@@ -265,7 +272,9 @@ impl<'a> StoreWriter<'a> {
         let data_bytes = self.end - HEADER_BYTES as u64;
         let parts = EndParts { metadata, appendix, coarse_start, data_bytes, generation: 1 };
         let before_write = self.before_write;
-        let header = write_end(&self.part.file, self.end, &mut self.nodes, &parts, before_write)
+        self.nodes.sort_by_cached_key(PlacedNode::order);
+        let nodes: Vec<&PlacedNode> = self.nodes.iter().collect();
+        let header = write_end(&self.part.file, self.end, &nodes, &parts, before_write)
             .map_err(io_error("cannot write", &self.path))?;
         let complete = || -> io::Result<()> {
             before_write()?;
@@ -301,33 +310,40 @@ impl PlacedNode {
     fn order(&self) -> (u32, u128) {
         (self.row.depth, u128::encode(self.row.cell.to_array()))
     }
+
+    /// Stored bytes.
+    pub fn bytes(&self) -> u64 {
+        self.sections.iter().map(|section| section.bytes).sum()
+    }
 }
 
-fn io_error(action: &'static str, path: &Path) -> impl Fn(io::Error) -> StoreError {
+pub(super) fn io_error(action: &'static str, path: &Path) -> impl Fn(io::Error) -> StoreError {
     move |source| StoreError::Io { action, source, path: path.to_path_buf() }
 }
 
 /// What stands behind the node data.
-struct EndParts<'a> {
-    metadata: &'a Metadata,
-    appendix: &'a [AppendixPart],
+pub(super) struct EndParts<'a> {
+    /// What the store says of itself.
+    pub metadata: &'a Metadata,
+    /// Records of the source files.
+    pub appendix: &'a [AppendixPart],
     /// Where the coarse nodes start.
-    coarse_start: u64,
+    pub coarse_start: u64,
     /// Bytes of all nodes.
-    data_bytes: u64,
-    generation: u32,
+    pub data_bytes: u64,
+    /// Of the header.
+    pub generation: u32,
 }
 
-/// Writes metadata, directory and appendix from `start` on, where the file's cursor is. Returns
-/// the header that makes them the store's.
-fn write_end(
+/// Writes metadata, directory and appendix from `start` on, where the file's cursor is; nodes stand
+/// in the order of rows. Returns the header that makes them the store's.
+pub(super) fn write_end(
     mut file: &File,
     start: u64,
-    nodes: &mut [PlacedNode],
+    nodes: &[&PlacedNode],
     parts: &EndParts,
     before_write: WriteHook,
 ) -> io::Result<Header> {
-    nodes.sort_by_cached_key(PlacedNode::order);
     let metadata_bytes = serde_json::to_vec(parts.metadata)?;
     let directory = directory_bytes(nodes, parts.metadata);
     let part = |offset: u64, bytes: &[u8]| PartExtent {
@@ -357,10 +373,10 @@ fn write_end(
 }
 
 /// All rows; nodes stand in their order.
-fn directory_bytes(nodes: &[PlacedNode], metadata: &Metadata) -> Vec<u8> {
+fn directory_bytes(nodes: &[&PlacedNode], metadata: &Metadata) -> Vec<u8> {
     let place = |node: &PlacedNode| (node.row.depth, node.row.cell);
     let index: HashMap<(u32, UVec3), usize> =
-        nodes.iter().enumerate().map(|(i, node)| (place(node), i)).collect();
+        nodes.iter().enumerate().map(|(i, &node)| (place(node), i)).collect();
     let mut masks = vec![0u8; nodes.len()];
     for NodeRow { depth, cell, .. } in nodes.iter().map(|node| &node.row).filter(|r| r.depth > 0) {
         let parent = index.get(&(depth - 1, cell / 2)).expect("a node's parent is written with it");
@@ -369,7 +385,7 @@ fn directory_bytes(nodes: &[PlacedNode], metadata: &Metadata) -> Vec<u8> {
     let section_count = metadata.sections.len();
     let shape = Rows { version: VERSION, depth: metadata.depth, section_count };
     let mut rows = Vec::with_capacity(nodes.len() * shape.row_bytes());
-    for (PlacedNode { row, sections, offset }, child_mask) in nodes.iter().zip(masks) {
+    for (&PlacedNode { row, sections, offset }, child_mask) in nodes.iter().zip(masks) {
         let row = Row {
             depth: row.depth,
             cell: row.cell,

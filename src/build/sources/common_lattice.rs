@@ -207,18 +207,28 @@ fn fit_all(wishes: &[Wish], lattice: Lattice) -> CommonLattice {
     // Residuals count in the floats of the file only if all files have the same.
     let single = wishes.iter().all(|wish| wish.kind == CoordinateKind::F32);
     let residual = if single { Scalar::I32 } else { Scalar::I64 };
-    let fit = |wish: &Wish| {
-        let multiple = whole_multiple(&lattice, &wish.lattice).filter(|_| wish.exact);
-        match (multiple, wish.movable, wish.kind) {
-            (Some((factor, shift)), ..) => Fit::Change(Coordinates::Scale { factor, shift }),
-            (None, true, CoordinateKind::Computed) => {
-                Fit::Place(Placing { lattice, residual: None })
-            }
-            (None, true, _) => Fit::Place(Placing { lattice, residual: Some(residual) }),
-            (None, false, _) => Fit::Change(Coordinates::Round { from: wish.lattice, to: lattice }),
-        }
-    };
-    CommonLattice { lattice, fits: wishes.iter().map(fit).collect() }
+    let fits = wishes.iter().map(|wish| fit(wish, lattice, residual)).collect();
+    CommonLattice { lattice, fits }
+}
+
+fn fit(wish: &Wish, lattice: Lattice, residual: Scalar) -> Fit {
+    let multiple = whole_multiple(&lattice, &wish.lattice).filter(|_| wish.exact);
+    match (multiple, wish.movable, wish.kind) {
+        (Some((factor, shift)), ..) => Fit::Change(Coordinates::Scale { factor, shift }),
+        (None, true, CoordinateKind::Computed) => Fit::Place(Placing { lattice, residual: None }),
+        (None, true, _) => Fit::Place(Placing { lattice, residual: Some(residual) }),
+        (None, false, _) => Fit::Change(Coordinates::Round { from: wish.lattice, to: lattice }),
+    }
+}
+
+/// How a source comes onto a lattice that is given, with residuals of a given type if there are
+/// any: of 64 bits unless it says otherwise.
+pub fn fit_onto(wish: &Wish, lattice: Lattice, residual: Option<Scalar>) -> Fit {
+    let shift = wish.exact.then(|| lattice_shift(&lattice, &wish.lattice)).flatten();
+    match shift {
+        Some(shift) => Fit::Shift(shift.to_array()),
+        None => fit(wish, lattice, residual.unwrap_or(Scalar::I64)),
+    }
 }
 
 /// Factor and shift that take integers on `own` to integers on `store`, if whole numbers do.

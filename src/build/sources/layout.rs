@@ -141,6 +141,50 @@ pub fn union_layout(scans: &[Scan]) -> UnionLayout {
     UnionLayout { schema, moves, own, warnings }
 }
 
+/// The layout of a store that is there already, for scans that must fit it: an error is the scan
+/// that does not, and why.
+pub fn layout_onto(scans: &[Scan], schema: &Schema) -> Result<UnionLayout, (usize, String)> {
+    let has_flags = schema.find(names::FLAGS).is_some();
+    let (mut moves, mut own, mut warnings) = (Vec::new(), Vec::new(), Vec::new());
+    for (index, scan) in scans.iter().enumerate() {
+        let (mut steps, mut names, mut told) = (Vec::new(), Vec::new(), Vec::new());
+        for offer in offers_of(scan, has_flags) {
+            let (name, components) = &offer.key;
+            let renamed = format!("{name}_x{components}");
+            let attribute = schema.attributes.iter().find(|attribute| {
+                attribute.components == *components
+                    && (attribute.name == *name || attribute.name == renamed)
+            });
+            let Some(attribute) = attribute else {
+                let reason = format!(
+                    "the store has no attribute \"{name}\" of {components} components; convert \
+                     all scans together"
+                );
+                return Err((index, reason));
+            };
+            if attribute.scalar.wider(offer.scalar) != attribute.scalar {
+                let types =
+                    [offer.scalar, attribute.scalar].map(|s| format!("{s:?}").to_lowercase());
+                let reason = format!(
+                    "its attribute \"{name}\" is of type {}, the store's of type {}; convert all \
+                     scans together",
+                    types[0], types[1]
+                );
+                return Err((index, reason));
+            }
+            if loses(offer.scalar, attribute.scalar) {
+                told.push(format!("values of \"{name}\" beyond 2^53 are rounded"));
+            }
+            names.push(attribute.name.clone());
+            steps.push(move_of(&offer, attribute));
+        }
+        moves.push(joined(steps));
+        own.push(names);
+        warnings.push(told);
+    }
+    Ok(UnionLayout { schema: schema.clone(), moves, own, warnings })
+}
+
 /// Whether older LAS records must become newer ones.
 fn needs_promotion(scans: &[Scan]) -> bool {
     let formats = || scans.iter().filter_map(Scan::las).map(|las| las.header().point_format);

@@ -9,6 +9,7 @@ mod adapt;
 mod common_lattice;
 mod describe;
 mod layout;
+mod onto;
 mod source;
 
 use std::path::PathBuf;
@@ -22,7 +23,7 @@ use crate::input::{Block, BlockBuffer, ReadOptions, Scan, ScanError};
 use crate::points::{Attribute, Lattice, Scalar, Schema, names, record_coordinates};
 use adapt::{Adapter, Coordinates};
 use common_lattice::{Fit, Wish, common_lattice, shared_lattice};
-use layout::union_layout;
+use layout::{UnionLayout, union_layout};
 pub use source::Source;
 
 /// Input files in a common record layout, on a common lattice.
@@ -37,11 +38,8 @@ pub struct Sources {
 impl Sources {
     /// Opens all files and finds what they have in common.
     pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Self, BuildError> {
-        // Side by side, because some formats are looked through when they are opened; the first
-        // error in the order of the files counts, not in that of the threads.
-        let scans: Vec<_> = paths.par_iter().map(|path| Scan::open(path, options)).collect();
-        let scans = scans.into_iter().collect::<Result<Vec<_>, ScanError>>()?;
-        let first = scans.first().ok_or(BuildError::NoInput)?;
+        let scans = open_scans(paths, options)?;
+        let first = &scans[0];
         let source_count: usize = scans.iter().map(source_count).sum();
         if source_count > 1 {
             return Sources::join(scans, source_count);
@@ -77,40 +75,11 @@ impl Sources {
                 scan.place(*placing);
             }
         }
-        let union = union_layout(&scans);
-        let schema = with_source(union.schema, sources);
-        let source_place = schema.attributes.last().map(|a| (a.record_offset as usize, a.scalar));
-        let lattice = common.lattice;
-        let mut next_source = 0;
-        let parts = scans.into_iter().zip(common.fits).zip(union.moves).zip(union.own);
-        let scans = parts.zip(union.warnings).map(|((((scan, fit), moves), own), mut warnings)| {
-            let (coordinates, shift) = match fit {
-                Fit::Shift(shift) => (Coordinates::Keep, shift),
-                Fit::Place(_) => (Coordinates::Keep, [0; 3]),
-                Fit::Change(coordinates) => (coordinates, [0; 3]),
-            };
-            if let Coordinates::Round { from, to } = coordinates {
-                warnings.push(format!(
-                    "coordinates are rounded from steps of {} to steps of {}, which the inputs \
-                     share",
-                    from.scale, to.scale
-                ));
-            }
-            let adapter = Adapter {
-                source_bytes: scan.schema().record_bytes as usize,
-                store_bytes: schema.record_bytes as usize,
-                coordinates,
-                moves,
-                source_place,
-            };
-            let first_source = next_source;
-            next_source += source_count(&scan) as u32;
-            let all = own.len() + 1 == schema.attributes.len();
-            let own_attributes = (!all).then_some(own);
-            let adapter = Some(adapter);
-            Source { scan, adapter, first_source, shift, own_attributes, warnings }
-        });
-        Ok(Sources { scans: scans.collect(), schema, lattice, sample: None })
+        let mut layout = union_layout(&scans);
+        layout.schema = with_source(layout.schema, sources);
+        let source = layout.schema.attributes.last();
+        let source_place = source.map(|a| (a.record_offset as usize, a.scalar));
+        Ok(assemble(scans, common.fits, layout, source_place, 0, common.lattice))
     }
 
     /// The same files, of which only about so many points are read, spread evenly over all.
@@ -188,6 +157,57 @@ impl Sources {
             outcome => outcome.map(|_| ()),
         }
     }
+}
+
+/// Opens all files.
+fn open_scans(paths: &[PathBuf], options: &ReadOptions) -> Result<Vec<Scan>, BuildError> {
+    // Side by side, because some formats are looked through when they are opened; the first error
+    // in the order of the files counts, not in that of the threads.
+    let scans: Vec<_> = paths.par_iter().map(|path| Scan::open(path, options)).collect();
+    let scans = scans.into_iter().collect::<Result<Vec<_>, ScanError>>()?;
+    if scans.is_empty() { Err(BuildError::NoInput) } else { Ok(scans) }
+}
+
+/// Scans with what each does to come into the layout and onto the lattice of all.
+fn assemble(
+    scans: Vec<Scan>,
+    fits: Vec<Fit>,
+    layout: UnionLayout,
+    source_place: Option<(usize, Scalar)>,
+    first_source: u32,
+    lattice: Lattice,
+) -> Sources {
+    let schema = layout.schema;
+    let mut next_source = first_source;
+    let parts = scans.into_iter().zip(fits).zip(layout.moves).zip(layout.own);
+    let scans = parts.zip(layout.warnings).map(|((((scan, fit), moves), own), mut warnings)| {
+        let (coordinates, shift) = match fit {
+            Fit::Shift(shift) => (Coordinates::Keep, shift),
+            Fit::Place(_) => (Coordinates::Keep, [0; 3]),
+            Fit::Change(coordinates) => (coordinates, [0; 3]),
+        };
+        if let Coordinates::Round { from, to } = coordinates {
+            warnings.push(format!(
+                "coordinates are rounded from steps of {} to steps of {}, which the inputs \
+                 share",
+                from.scale, to.scale
+            ));
+        }
+        let adapter = Adapter {
+            source_bytes: scan.schema().record_bytes as usize,
+            store_bytes: schema.record_bytes as usize,
+            coordinates,
+            moves,
+            source_place,
+        };
+        let first_source = next_source;
+        next_source += source_count(&scan) as u32;
+        let all = own.len() + usize::from(source_place.is_some()) == schema.attributes.len();
+        let own_attributes = (!all).then_some(own);
+        let adapter = Some(adapter);
+        Source { scan, adapter, first_source, shift, own_attributes, warnings }
+    });
+    Sources { scans: scans.collect(), schema, lattice, sample: None }
 }
 
 /// Number of sources that a file brings: its scans.

@@ -15,7 +15,7 @@ use esker::build::{AppendReport, BuildError, ConvertOptions, Silent, append, con
 use esker::ids::NodeId;
 use esker::store::{HEADER_BYTES, SLOT_BYTES, Store, check};
 use glam::UVec3;
-use las_file::{LasPoint, RECORD_BYTES, las_bytes, write_las};
+use las_file::{LasPoint, RECORD_BYTES, las_bytes, record, write_las};
 
 fn random(state: &mut u64) -> u64 {
     *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -201,17 +201,9 @@ fn what_does_not_fit_is_refused_and_leaves_the_store_as_it_was() {
     converted(&[file("a.las")], &file("a.esker"));
     let before = std::fs::read(file("a.esker")).unwrap();
 
-    let mut outside = cloud(0, 50, 6);
-    outside[30].position = [5000, 0, 0];
-    write_las(&file("outside.las"), &outside);
-    let mut colours = cloud(0, 50, 7);
-    colours[20].color = [40_000, 0, 0];
-    write_las(&file("colours.las"), &colours);
     std::fs::write(file("text.xyz"), "0.001 2 3\n4 5 6.0005\n").unwrap();
     std::fs::write(file("broken.las"), b"LASF").unwrap();
     for (name, expected) in [
-        ("outside.las", "outside of the store's cube"),
-        ("colours.las", "16 bits"),
         ("text.xyz", "not all on the store's lattice"),
         ("broken.las", "broken.las"),
         ("missing.las", "missing.las"),
@@ -225,6 +217,36 @@ fn what_does_not_fit_is_refused_and_leaves_the_store_as_it_was() {
     std::fs::copy(old, file("old.esker")).unwrap();
     let error = appended(&file("old.esker"), &[file("a.las")], &options()).expect_err("version 1");
     assert!(error.to_string().contains("version 1"), "{error}");
+}
+
+#[test]
+fn a_store_that_is_outgrown_is_written_anew() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let file = |name: &str| folder.path().join(name);
+    write_las(&file("a.las"), &cloud(1, 900, 5));
+    let mut outside = cloud(0, 500, 6);
+    outside[30].position = [-5000, 0, 0];
+    let mut colours = cloud(0, 500, 7);
+    colours[20].color = [40_000, 0, 0];
+    for (name, points) in [("outside.las", outside), ("colours.las", colours)] {
+        write_las(&file(name), &points);
+        converted(&[file("a.las")], &file("a.esker"));
+        let report = appended(&file("a.esker"), &[file(name)], &options()).expect(name);
+        assert!(report.rebuilt, "{name}");
+        assert_eq!((report.points, report.new_points), (1400, 500), "{name}");
+        assert_eq!(report.sources.len(), 1, "{name}");
+        assert_eq!(check(&file("a.esker")).unwrap().findings, [], "{name}");
+        let store = Store::open(&file("a.esker")).unwrap();
+        let sources = store.metadata().sources.iter().map(|source| source.name.clone());
+        assert_eq!(sources.collect::<Vec<_>>(), ["a.las", name]);
+        let (mut expected, given) = (Vec::new(), [cloud(1, 900, 5), points]);
+        for points in given {
+            expected.extend(points.iter().zip(0..).map(|(p, i)| record(p, i).to_vec()));
+        }
+        expected.sort_unstable();
+        assert!(records(&store) == expected, "{name}: other records");
+        std::fs::remove_file(file("a.esker")).unwrap();
+    }
 }
 
 #[test]

@@ -72,6 +72,14 @@ pub enum BuildError {
         /// The scan, or the store.
         path: PathBuf,
     },
+    /// The points of a scan need a larger cube, or more bits of colour, than a store has.
+    #[error("{path}: does not fit the store as it is: {reason}", path = path.display())]
+    Outgrown {
+        /// In what way.
+        reason: String,
+        /// The scan.
+        path: PathBuf,
+    },
     /// Points of a later pass are not those of the first.
     #[error("an input file changed while it was being read")]
     Changed,

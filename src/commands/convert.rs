@@ -163,6 +163,9 @@ fn tell_append(
         }
         println!("{json}");
     } else {
+        if report.rebuilt {
+            println!("the new points reach beyond the store's cube: all of it was written anew");
+        }
         println!(
             "{}: {} points added, {} now in {} nodes, {} of them written ({}), {seconds:.2} s, \
              {} no longer in use",

@@ -90,8 +90,10 @@ fn take<K: MortonKey>(
     layout: RowLayout,
     found: &mut BlockRows,
 ) -> Result<(), BuildError> {
-    let refused =
-        |reason: String| BuildError::Append { reason, path: sources.scans()[source].path().into() };
+    let refused = |reason: String| BuildError::Outgrown {
+        reason,
+        path: sources.scans()[source].path().into(),
+    };
     let (shift, edge) = (sources.shift(source), 1i64 << store.root_bits);
     let color = color_offset(&store.schema).filter(|_| store.color_bits == Some(8));
     let record_bytes = store.schema.record_bytes as usize;
@@ -110,7 +112,7 @@ fn take<K: MortonKey>(
             if !(0..edge).contains(&local) {
                 return Err(refused(format!(
                     "it has points outside of the store's cube (coordinate {} of axis {}, the cube \
-                     reaches from {} to {}); convert all scans together",
+                     reaches from {} to {})",
                     world(store, axis, steps),
                     ["x", "y", "z"][axis],
                     world(store, axis, store.root_min[axis]),
@@ -122,9 +124,7 @@ fn take<K: MortonKey>(
         if let Some(offset) = color {
             let [r, g, b] = read_color(&record[offset..]);
             if r | g | b > 0xff {
-                return Err(refused(
-                    "it has colours of 16 bits, the store of 8; convert all scans together".into(),
-                ));
+                return Err(refused("it has colours of 16 bits, the store of 8".into()));
             }
         }
         layout.write(row, K::encode(cell), 0, &record[COORDINATE_BYTES..]);

@@ -59,8 +59,8 @@ pub struct Grown {
 /// Takes what comes out of a cell.
 pub trait Sink<K> {
     /// A node is done.
-    fn grown(&mut self, node: Grown) -> Result<(), BuildError>;
-    /// A child is to be gone into: now, unless the task is taken.
+    fn grown(&mut self, node: Grown);
+    /// A child is to be gone into: now, if the task comes back.
     fn child(&mut self, task: Task<K>) -> Option<Task<K>>;
 }
 
@@ -186,7 +186,7 @@ impl Growth<'_> {
             let is_new = |(entry, _): &&(Entry<K>, bool)| matches!(entry.row, RowPlace::Arrived(_));
             let new_points = stay.iter().filter(is_new).count() as u64;
             let finished = self.rebuild(depth, &own, own_rows, &leaving, &carried, stay, builder);
-            sink.grown(Grown { finished, old_overflow: own.overflow(), new_points })?;
+            sink.grown(Grown { finished, old_overflow: own.overflow(), new_points });
         }
         drop((own, carried));
         for task in children {

@@ -7,12 +7,14 @@
 mod arrivals;
 mod grow;
 
+use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use rayon::prelude::*;
 
 use crate::build::BuildError;
+use crate::build::convert::convert_sources;
 use crate::build::encode::{Encoding, join_ranges};
 use crate::build::node::{NodeBuilder, TreeRules};
 use crate::build::options::ConvertOptions;
@@ -45,6 +47,8 @@ pub struct AppendReport {
     pub bytes_written: u64,
     /// Bytes of the store that are no longer in use.
     pub unused_bytes: u64,
+    /// Whether the whole store was written anew, because the new points reach beyond its cube.
+    pub rebuilt: bool,
     /// The parts of the work in order, with their times.
     pub stages: Vec<StageTime>,
     /// The new sources: how many points came in, and what became of them.
@@ -56,7 +60,8 @@ pub struct AppendReport {
 /// Adds the points of scans to a store.
 ///
 /// They count as inserted after those that are there. The store is the old one until all is done,
-/// and stays it if something fails. Scans must fit its lattice, layout and root cube.
+/// and stays it if something fails. Scans must fit its lattice and layout; if they reach beyond its
+/// root cube the whole store is written anew.
 pub fn append(
     store: &Path,
     inputs: &[PathBuf],
@@ -79,11 +84,52 @@ pub fn append(
             let reason = "it is empty: convert the scans instead".into();
             return Err(BuildError::Append { reason, path: store.into() });
         }
-        if opened.metadata().root_bits <= u64::MAX_BITS {
+        let outcome = if opened.metadata().root_bits <= u64::MAX_BITS {
             addition.run::<u64>(appender, opened)
         } else {
             addition.run::<u128>(appender, opened)
+        };
+        match outcome {
+            Err(BuildError::Outgrown { .. }) => {
+                rebuild(store, inputs, options, progress, cancelled)
+            }
+            outcome => outcome,
         }
+    })
+}
+
+/// Writes the whole store anew, with the points that do not fit it in place.
+fn rebuild(
+    path: &Path,
+    inputs: &[PathBuf],
+    options: &ConvertOptions,
+    progress: &dyn Progress,
+    cancelled: &AtomicBool,
+) -> Result<AppendReport, BuildError> {
+    let store = Store::open(path)?;
+    let (points, known) = (store.metadata().points, store.metadata().sources.len());
+    let dropped_points = store.metadata().dropped_points;
+    let options = ConvertOptions {
+        depth: store.metadata().depth,
+        threshold: store.metadata().threshold,
+        overwrite: true,
+        ..options.clone()
+    };
+    let sources = Sources::open_with_store(store, inputs, &options.read)?;
+    let report = convert_sources(&sources, path, &options, progress, cancelled)?;
+    Ok(AppendReport {
+        points: report.points,
+        new_points: report.points - points,
+        dropped_points: report.dropped_points - dropped_points,
+        nodes: report.nodes,
+        nodes_written: report.nodes,
+        output_bytes: report.output_bytes,
+        bytes_written: report.output_bytes,
+        unused_bytes: 0,
+        rebuilt: true,
+        stages: report.stages,
+        sources: report.sources[known..].to_vec(),
+        warnings: report.warnings,
     })
 }
 
@@ -174,6 +220,7 @@ impl Addition<'_> {
             output_bytes: header.file_bytes,
             bytes_written: header.file_bytes - old_bytes,
             unused_bytes: store.unused_bytes(),
+            rebuilt: false,
             stages: clock.finish(),
             sources: described.infos,
             warnings,
@@ -219,37 +266,36 @@ impl Addition<'_> {
             items,
         };
         let mut tally = Tally { metadata, appender, nodes: 0, progress: self.progress };
-        let mut upper =
-            Upper { tally: &mut tally, tasks: Vec::new(), subtree_bytes: &subtree_bytes };
-        growth.grow(root, &mut NodeBuilder::default(), &mut upper)?;
-        let mut tasks = upper.tasks;
         let weigh = |task: &Task<K>| {
             let old = task.node.map_or(0, |node| subtree_bytes[node.index()]);
             let rows = task.carried.len() + task.items.len() * layout.stride();
-            rows as u64 + 2 * old
+            rows as u64 + 2 * old.min(TASK_BYTES)
         };
-        tasks.reverse();
+        let mut tasks = VecDeque::from([root]);
         while !tasks.is_empty() {
             if self.cancelled.load(Ordering::Relaxed) {
                 return Err(BuildError::Interrupted);
             }
             let mut wave = Vec::new();
             let mut weight = 0;
-            while let Some(task) = tasks.pop_if(|task| {
+            while let Some(task) = tasks.pop_front_if(|task| {
                 wave.is_empty() || weight + weigh(task) <= self.options.memory_bytes / 8
             }) {
                 weight += weigh(&task);
                 wave.push(task);
             }
             let run = |builder: &mut NodeBuilder<K>, task: Task<K>| {
-                let mut lower = Lower { grown: Vec::new() };
-                growth.grow(task, builder, &mut lower)?;
-                Ok(lower.grown)
+                let (grown, later) = (Vec::new(), Vec::new());
+                let mut results = Results { grown, later, subtree_bytes: &subtree_bytes };
+                growth.grow(task, builder, &mut results)?;
+                Ok((results.grown, results.later))
             };
-            let done: Vec<Result<Vec<Grown>, BuildError>> =
+            let done: Vec<Result<(Vec<Grown>, Vec<Task<K>>), BuildError>> =
                 wave.into_par_iter().map_init(NodeBuilder::default, run).collect();
-            for grown in done {
-                grown?.into_iter().try_for_each(|node| tally.add(node))?;
+            for results in done {
+                let (grown, later) = results?;
+                grown.into_iter().try_for_each(|node| tally.add(node))?;
+                tasks.extend(later);
             }
         }
         Ok(tally.nodes)
@@ -312,40 +358,25 @@ fn finite(mut ranges: Vec<Vec<ValueRange>>) -> Vec<Vec<ValueRange>> {
     ranges
 }
 
-/// Goes down as long as there is much to do, and leaves the rest for tasks side by side.
-struct Upper<'a, 'b, 'w, K> {
-    tally: &'a mut Tally<'b, 'w>,
-    tasks: Vec<Task<K>>,
+/// What comes out of a task.
+struct Results<'a, K> {
+    grown: Vec<Grown>,
+    later: Vec<Task<K>>,
     subtree_bytes: &'a [u64],
 }
 
-impl<K> Sink<K> for Upper<'_, '_, '_, K> {
-    fn grown(&mut self, node: Grown) -> Result<(), BuildError> {
-        self.tally.add(node)
+impl<K> Sink<K> for Results<'_, K> {
+    fn grown(&mut self, node: Grown) {
+        self.grown.push(node);
     }
 
+    /// Cells in which there is much to do are tasks of their own.
     fn child(&mut self, task: Task<K>) -> Option<Task<K>> {
         let old = task.node.map_or(0, |node| self.subtree_bytes[node.index()]);
         if task.items.len() <= TASK_POINTS && old <= TASK_BYTES {
-            self.tasks.push(task);
-            return None;
+            return Some(task);
         }
-        Some(task)
-    }
-}
-
-/// Goes all the way down.
-struct Lower {
-    grown: Vec<Grown>,
-}
-
-impl<K> Sink<K> for Lower {
-    fn grown(&mut self, node: Grown) -> Result<(), BuildError> {
-        self.grown.push(node);
-        Ok(())
-    }
-
-    fn child(&mut self, task: Task<K>) -> Option<Task<K>> {
-        Some(task)
+        self.later.push(task);
+        None
     }
 }

@@ -22,6 +22,11 @@ impl Sources {
     pub fn describe(&self, points_of_file: &[u64]) -> Described {
         let mut described = Described::default();
         for (source, &points) in self.scans().iter().zip(points_of_file) {
+            if let Some(stored) = &source.stored {
+                described.infos.extend(stored.infos.iter().cloned());
+                described.appendix.push(stored.appendix_part(source.path().into()));
+                continue;
+            }
             match &source.scan {
                 Scan::Las(_) => describe_las(source, points, &mut described),
                 Scan::Foreign(scan) => describe_foreign(source, scan, &mut described),

@@ -11,6 +11,7 @@ mod describe;
 mod layout;
 mod onto;
 mod source;
+mod stored;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -52,6 +53,7 @@ impl Sources {
             shift: [0; 3],
             own_attributes: None,
             warnings: Vec::new(),
+            stored: None,
         };
         let scans = scans.into_iter().map(untouched).collect();
         Ok(Sources { scans, schema, lattice, sample: None })
@@ -79,7 +81,9 @@ impl Sources {
         layout.schema = with_source(layout.schema, sources);
         let source = layout.schema.attributes.last();
         let source_place = source.map(|a| (a.record_offset as usize, a.scalar));
-        Ok(assemble(scans, common.fits, layout, source_place, 0, common.lattice))
+        let schema = layout.schema.clone();
+        let scans = assemble(scans, common.fits, layout, source_place, 0);
+        Ok(Sources { scans: scans.into(), schema, lattice: common.lattice, sample: None })
     }
 
     /// The same files, of which only about so many points are read, spread evenly over all.
@@ -175,8 +179,7 @@ fn assemble(
     layout: UnionLayout,
     source_place: Option<(usize, Scalar)>,
     first_source: u32,
-    lattice: Lattice,
-) -> Sources {
+) -> Vec<Source> {
     let schema = layout.schema;
     let mut next_source = first_source;
     let parts = scans.into_iter().zip(fits).zip(layout.moves).zip(layout.own);
@@ -205,9 +208,9 @@ fn assemble(
         let all = own.len() + usize::from(source_place.is_some()) == schema.attributes.len();
         let own_attributes = (!all).then_some(own);
         let adapter = Some(adapter);
-        Source { scan, adapter, first_source, shift, own_attributes, warnings }
+        Source { scan, adapter, first_source, shift, own_attributes, warnings, stored: None }
     });
-    Sources { scans: scans.collect(), schema, lattice, sample: None }
+    scans.collect()
 }
 
 /// Number of sources that a file brings: its scans.

@@ -8,7 +8,7 @@ use crate::build::BuildError;
 use crate::build::sources::adapt::Coordinates;
 use crate::build::sources::common_lattice::{Fit, Wish, fit_onto};
 use crate::build::sources::layout::layout_onto;
-use crate::build::sources::{Sources, assemble, open_scans, source_count};
+use crate::build::sources::{Source, Sources, assemble, open_scans, source_count};
 use crate::input::{CoordinateKind, Placing, ReadOptions, Scan};
 use crate::points::{Lattice, Scalar, names};
 use crate::store::Metadata;
@@ -20,32 +20,43 @@ impl Sources {
         options: &ReadOptions,
         store: &Metadata,
     ) -> Result<Self, BuildError> {
-        let mut scans = open_scans(paths, options)?;
-        let lattice = store.lattice();
-        let residual = store.schema.find(names::COORDINATE_RESIDUAL).map(|(_, a)| a.scalar);
-        let mut fits = Vec::with_capacity(scans.len());
-        for scan in &mut scans {
-            let fit = exact_fit(&Wish::of(scan), lattice, residual)
-                .ok_or_else(|| refused(scan, off_lattice(lattice)))?;
-            if let Fit::Place(placing) = fit {
-                scan.place(placing);
-            }
-            fits.push(fit);
-        }
-        let layout = layout_onto(&scans, &store.schema)
-            .map_err(|(index, reason)| refused(&scans[index], reason))?;
-        let first_source = store.sources.len();
-        let sources = first_source + scans.iter().map(source_count).sum::<usize>();
-        let place = layout.schema.find(names::SOURCE).map(|(_, a)| (a.record_offset, a.scalar));
-        if let Some((_, Scalar::U16)) = place
-            && sources > usize::from(u16::MAX)
-        {
-            let reason = format!("the store numbers its sources with 16 bits, {sources} are more");
-            return Err(refused(&scans[0], reason));
-        }
-        let source_place = place.map(|(offset, scalar)| (offset as usize, scalar));
-        Ok(assemble(scans, fits, layout, source_place, first_source as u32, lattice))
+        let scans = sources_onto(paths, options, store)?.into();
+        let (schema, lattice) = (store.schema.clone(), store.lattice());
+        Ok(Sources { scans, schema, lattice, sample: None })
     }
+}
+
+/// Files in the layout and on the lattice of a store.
+pub(super) fn sources_onto(
+    paths: &[PathBuf],
+    options: &ReadOptions,
+    store: &Metadata,
+) -> Result<Vec<Source>, BuildError> {
+    let mut scans = open_scans(paths, options)?;
+    let lattice = store.lattice();
+    let residual = store.schema.find(names::COORDINATE_RESIDUAL).map(|(_, a)| a.scalar);
+    let mut fits = Vec::with_capacity(scans.len());
+    for scan in &mut scans {
+        let fit = exact_fit(&Wish::of(scan), lattice, residual)
+            .ok_or_else(|| refused(scan, off_lattice(lattice)))?;
+        if let Fit::Place(placing) = fit {
+            scan.place(placing);
+        }
+        fits.push(fit);
+    }
+    let layout = layout_onto(&scans, &store.schema)
+        .map_err(|(index, reason)| refused(&scans[index], reason))?;
+    let first_source = store.sources.len();
+    let sources = first_source + scans.iter().map(source_count).sum::<usize>();
+    let place = layout.schema.find(names::SOURCE).map(|(_, a)| (a.record_offset, a.scalar));
+    if let Some((_, Scalar::U16)) = place
+        && sources > usize::from(u16::MAX)
+    {
+        let reason = format!("the store numbers its sources with 16 bits, {sources} are more");
+        return Err(refused(&scans[0], reason));
+    }
+    let source_place = place.map(|(offset, scalar)| (offset as usize, scalar));
+    Ok(assemble(scans, fits, layout, source_place, first_source as u32))
 }
 
 fn refused(scan: &Scan, reason: String) -> BuildError {

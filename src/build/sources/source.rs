@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use crate::build::sources::adapt::Adapter;
+use crate::build::sources::stored::Stored;
 use crate::input::{Block, BlockBuffer, ForeignFault, RecordSink, Scan, ScanError};
 
 /// An input file and what its records need to become those of the store.
@@ -19,6 +20,8 @@ pub struct Source {
     pub(super) own_attributes: Option<Vec<String>>,
     /// What joining it with others changed, in words.
     pub(super) warnings: Vec<String>,
+    /// What it says of its own sources, if it is a store.
+    pub(super) stored: Option<Stored>,
 }
 
 impl Source {

@@ -18,5 +18,6 @@ pub mod points;
 pub mod sampling;
 pub mod select;
 pub mod store;
+pub mod stream;
 #[cfg(feature = "viewer")]
 pub mod viewer;

@@ -16,6 +16,7 @@ use device::gpu;
 use esker::frame::{ColorMode, FrameSettings, Loading, NodeSource, RasterPath, Renderer};
 use esker::geometry::{Camera, View};
 use esker::points::Lattice;
+use esker::stream::StreamSettings;
 use glam::{DVec3, UVec3};
 use memory_cloud::MemoryCloud;
 
@@ -258,11 +259,17 @@ fn a_full_cache_settles() {
     let view = view(UTM, eye, target, fov);
     for path in paths() {
         let mut small = renderer(path, &cloud, 300_000);
+        // What is read ahead of the camera is another matter.
+        let look_ahead = std::time::Duration::ZERO;
+        small.set_streaming(StreamSettings { look_ahead, ..StreamSettings::default() });
         let mut settings = FrameSettings::default();
         for loading in [Loading::All, Loading::Quota { bytes: 100_000 }] {
             settings.loading = loading;
-            for _ in 0..30 {
-                small.render(&view, &settings).unwrap();
+            let mut frames = 0;
+            while !small.render(&view, &settings).unwrap().complete {
+                frames += 1;
+                assert!(frames < 2000, "it never settles");
+                std::thread::sleep(std::time::Duration::from_millis(1));
             }
             let mut moved = view;
             moved.camera.eye.x += 1e-3;

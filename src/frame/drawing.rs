@@ -5,12 +5,13 @@ use std::time::Instant;
 use crate::frame::device::Device;
 #[cfg(feature = "gpu")]
 use crate::frame::node_cache::Storage;
-use crate::frame::node_cache::{SceneNode, Words};
+use crate::frame::node_cache::Words;
 use crate::frame::{FrameError, FrameSettings, Renderer};
 use crate::geometry::View;
 use crate::ids::NodeId;
 use crate::passes::{CloudDraw, NodePlace, NodeWords, Picture, Tile, finish};
 use crate::select::Cut;
+use crate::stream::SceneNode;
 
 /// Most pixels of one part of a picture on the CPU.
 const CPU_TILE_PIXELS: u64 = 16 << 20;
@@ -65,7 +66,7 @@ impl Renderer {
                     if let Some(ready) = ready
                         && let Words::Memory(all) = &ready.words
                     {
-                        let (positions, colors) = all.split_at(ready.position_words as usize);
+                        let (positions, colors) = all.words.split_at(ready.position_words as usize);
                         words[draw.slot as usize] = NodeWords { positions, colors };
                     }
                 }

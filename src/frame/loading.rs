@@ -1,229 +1,194 @@
-//! Loading what a view wants: choose, read, make ready.
+//! Loading what a view wants: in this call, or through the loader.
+//!
+//! A picture on its own reads all it wants and waits for it. A window takes a share per frame: if
+//! the scene fits the room for it, it reads that share itself and no thread is started; if not,
+//! the loader reads and the frame takes what is there.
 
-use std::collections::HashSet;
+use std::sync::Arc;
 use std::time::Instant;
 
 use rayon::prelude::*;
 
 use crate::frame::device::Device;
-use crate::frame::node_cache::SceneNode;
 use crate::frame::renderer::milliseconds;
 use crate::frame::{FrameError, FrameSettings, Loading, Renderer};
 use crate::geometry::View;
-use crate::gpu::layout::position_words;
-use crate::ids::NodeId;
-use crate::select::{Availability, Cut, Residency, select_scene};
+use crate::select::{Availability, Cut};
+use crate::stream::{LoadedNode, SceneNode};
 
 /// Bytes of nodes read at a time, so that what waits for its upload stays bounded.
 const READ_AHEAD_BYTES: u64 = 64 << 20;
 
 impl Renderer {
-    /// Chooses what to draw and loads what is missing, until nothing more can or may be loaded.
-    pub(super) fn select_and_load(
+    /// Brings in what the view wants, as far as the settings allow in this frame. Whether anything
+    /// that is drawn may have changed by it.
+    pub(super) fn load(
         &mut self,
         view: &View,
         settings: &FrameSettings,
-    ) -> Result<Vec<Cut>, FrameError> {
-        let (mut select_ms, mut load_ms) = (0.0, 0.0);
+    ) -> Result<bool, FrameError> {
+        let start = Instant::now();
+        self.settle_colors(&settings.color);
+        let mut changed = self.plan_and_touch(view, settings);
         let mut left_bytes = match settings.loading {
             Loading::All => u64::MAX,
-            Loading::Quota { bytes } => bytes,
+            Loading::Quota { bytes } => bytes.max(1),
         };
-        let mut without_room: HashSet<SceneNode> = HashSet::new();
-        let cuts = loop {
-            let start = Instant::now();
-            let cuts = self.select(view, settings, &without_room);
-            select_ms += milliseconds(start);
-            let start = Instant::now();
-            for (cloud, cut) in cuts.iter().enumerate() {
-                cut.draw.iter().for_each(|drawn| self.cache.touch((cloud, drawn.node)));
+        if settings.loading != Loading::All && self.streams() {
+            changed |= self.take_in(view, settings, left_bytes)?;
+        } else {
+            if !self.streams() {
+                self.streaming.stop();
             }
-            let wanted = self.wanted(&cuts, settings.loading, &without_room);
-            if wanted.is_empty() || left_bytes == 0 {
-                break cuts;
+            // Again only for what stands in for nodes that cannot be read.
+            while left_bytes > 0 {
+                let missing = self.missing();
+                if missing.is_empty() {
+                    break;
+                }
+                let loaded_bytes = self.read_now(&missing, left_bytes)?;
+                left_bytes = left_bytes.saturating_sub(loaded_bytes);
+                changed = true;
+                if !self.plan_and_touch(view, settings) && settings.loading != Loading::All {
+                    break;
+                }
             }
-            let (loaded_bytes, failed) = self.load(&wanted, left_bytes, &mut without_room)?;
-            left_bytes = left_bytes.saturating_sub(loaded_bytes);
-            load_ms += milliseconds(start);
-            let all_drawn_are_there = failed == 0 && without_room.is_empty();
-            if settings.loading == Loading::All && all_drawn_are_there {
-                break cuts;
-            }
-            cuts.into_iter().for_each(|cut| self.scratch.recycle(cut));
-        };
-        self.stats.nodes_without_room = without_room.len() as u32;
-        self.note_time("select", select_ms);
-        self.note_time("load", load_ms);
-        Ok(cuts)
+        }
+        self.note_color_problems();
+        self.stats.nodes_requested = self.missing().len() as u32;
+        self.stats.nodes_without_room = self.plan.beyond + self.no_room.len() as u32;
+        self.note_time("load", milliseconds(start));
+        Ok(changed)
     }
 
-    fn select(
-        &mut self,
-        view: &View,
-        settings: &FrameSettings,
-        without_room: &HashSet<SceneNode>,
-    ) -> Vec<Cut> {
-        let (cache, failed, loading) = (&self.cache, &self.failed, settings.loading);
-        let answers: Vec<_> = (0..self.sources.len())
-            .map(|cloud| {
-                move |node: NodeId| {
-                    let node = (cloud, node);
-                    // With everything loaded in this call, what has room counts as there.
-                    let will_be = || loading == Loading::All && !without_room.contains(&node);
-                    if failed.contains(&node) {
-                        Availability::Failed
-                    } else if cache.contains(node) || will_be() {
-                        Availability::Resident
-                    } else {
-                        Availability::Absent
-                    }
+    /// What is drawn of what is there.
+    pub(super) fn select_loaded(&mut self, view: &View, settings: &FrameSettings) -> Vec<Cut> {
+        let start = Instant::now();
+        let mut scratch = std::mem::take(&mut self.scratch);
+        let is_whole = self.stats.nodes_requested == 0 && self.stats.nodes_without_room == 0;
+        let cuts = if is_whole {
+            // The plan is the picture; it is made again if somebody needs it again.
+            self.plan.invalidate();
+            std::mem::take(&mut self.plan.cuts)
+        } else {
+            self.select(view, &settings.cut, &mut scratch, |node| {
+                if self.failed.contains(&node) {
+                    Availability::Failed
+                } else if self.cache.contains(node) {
+                    Availability::Resident
+                } else {
+                    Availability::Absent
                 }
             })
-            .collect();
-        let scene: Vec<_> = self
-            .sources
-            .iter()
-            .zip(&answers)
-            .map(|(source, answer)| (source.octree(), answer as &dyn Residency))
-            .collect();
-        select_scene(&scene, view, &settings.cut, &mut self.scratch)
-    }
-
-    /// Nodes to load for these cuts, most wanted first.
-    fn wanted(
-        &self,
-        cuts: &[Cut],
-        loading: Loading,
-        without_room: &HashSet<SceneNode>,
-    ) -> Vec<SceneNode> {
-        let mut wanted = Vec::new();
+        };
+        self.scratch = scratch;
         for (cloud, cut) in cuts.iter().enumerate() {
-            match loading {
-                Loading::All => {
-                    let missing = cut.draw.iter().map(|drawn| (f64::INFINITY, (cloud, drawn.node)));
-                    wanted.extend(missing.filter(|&(_, node)| !self.cache.contains(node)));
-                }
-                Loading::Quota { .. } => {
-                    let asked = cut.requests.iter().map(|r| (r.priority_px, (cloud, r.node)));
-                    wanted.extend(asked.filter(|(_, node)| !without_room.contains(node)));
-                }
-            }
+            cut.draw.iter().for_each(|drawn| self.cache.touch((cloud, drawn.node)));
         }
-        wanted.sort_by(|a, b| b.0.total_cmp(&a.0));
-        wanted.into_iter().map(|(_, node)| node).collect()
+        self.note_time("select", milliseconds(start));
+        cuts
     }
 
-    /// Reads nodes in parallel and makes them ready, in order, until `quota_bytes` are used up.
-    /// Returns the bytes and the number of nodes that could not be read.
-    fn load(
-        &mut self,
-        wanted: &[SceneNode],
-        quota_bytes: u64,
-        without_room: &mut HashSet<SceneNode>,
-    ) -> Result<(u64, usize), FrameError> {
-        let (mut loaded_bytes, mut failed) = (0, 0);
-        // What has no room is not even read.
-        let mut room_bytes = self.cache.room_bytes();
-        let mut fitting = Vec::with_capacity(wanted.len());
-        for &node in wanted {
-            match room_bytes.checked_sub(self.node_bytes(node)) {
-                Some(left_bytes) => {
-                    room_bytes = left_bytes;
-                    fitting.push(node);
-                }
-                None => {
-                    without_room.insert(node);
-                }
+    /// Makes the plan fit the view, and keeps what it wants from leaving. Whether it is new.
+    pub(super) fn plan_and_touch(&mut self, view: &View, settings: &FrameSettings) -> bool {
+        let is_new = self.update_plan(view, &settings.cut);
+        if is_new {
+            self.no_room.clear();
+        }
+        for &node in &self.plan.wanted {
+            self.cache.touch(node);
+        }
+        is_new
+    }
+
+    /// What is wanted, has room and is not there, best first.
+    pub(super) fn missing(&mut self) -> Vec<SceneNode> {
+        let mut missing = Vec::new();
+        for &node in &self.plan.wanted {
+            if self.cache.contains(node) || self.no_room.contains(&node) {
+                continue;
+            }
+            // Below what found no room there is none either: a node never stays without its
+            // parent.
+            if self.parent(node).is_some_and(|parent| self.no_room.contains(&parent)) {
+                self.no_room.insert(node);
+            } else {
+                missing.push(node);
             }
         }
-        let mut rest = &fitting[..];
+        missing
+    }
+
+    /// Reads nodes in parallel in this call and makes them ready, in order, until `quota_bytes`
+    /// are used up, but at least one. Returns the bytes.
+    fn read_now(&mut self, missing: &[SceneNode], quota_bytes: u64) -> Result<u64, FrameError> {
+        let Some(reader) = self.reader.clone() else { return Ok(0) };
+        let mut loaded_bytes = 0;
+        let mut rest = missing;
         while !rest.is_empty() && loaded_bytes < quota_bytes {
             let most_bytes = READ_AHEAD_BYTES.min(quota_bytes - loaded_bytes);
-            let count = self.leading_nodes(rest, most_bytes);
-            let (now, later) = rest.split_at(count);
+            let (now, later) = rest.split_at(self.leading_nodes(rest, most_bytes));
             rest = later;
-            let read: Vec<_> = now.par_iter().map(|&node| self.read_node(node)).collect();
-            for (&node, words) in now.iter().zip(read) {
-                match words {
-                    Ok((words, position_words)) => {
-                        let bytes = 4 * words.len() as u64;
-                        loaded_bytes += bytes;
-                        if self.insert(node, words, position_words)? {
-                            self.stats.nodes_loaded += 1;
-                        } else {
-                            without_room.insert(node);
-                        }
+            let read: Vec<_> = now.par_iter().map(|&node| reader.read(node)).collect();
+            self.stats.nodes_waited_for += now.len() as u32;
+            for (&node, loaded) in now.iter().zip(read) {
+                match loaded {
+                    Ok(loaded) => {
+                        loaded_bytes += loaded.bytes();
+                        self.insert(node, Arc::new(loaded))?;
                     }
-                    Err(error) => {
-                        failed += 1;
-                        self.failed.insert(node);
-                        self.note_problem(error.to_string());
-                    }
+                    Err(error) => self.note_failure(node, error.to_string()),
                 }
             }
             self.flush_uploads();
         }
-        Ok((loaded_bytes, failed))
+        Ok(loaded_bytes)
+    }
+
+    /// Makes a node ready; one that finds no room is not asked for again in this view.
+    pub(super) fn insert(
+        &mut self,
+        node: SceneNode,
+        loaded: Arc<LoadedNode>,
+    ) -> Result<(), FrameError> {
+        let depth = self.sources[node.0].octree().node(node.1).depth;
+        let bytes = loaded.bytes();
+        let fits = match &self.device {
+            Device::Cpu { .. } => self.cache.insert_in_memory(node, depth, loaded),
+            #[cfg(feature = "gpu")]
+            Device::Gpu(on_gpu) => {
+                self.cache.insert_on_device(&on_gpu.gpu, node, depth, &loaded)?
+            }
+        };
+        if fits {
+            self.stats.nodes_loaded += 1;
+            if !matches!(self.device, Device::Cpu { .. }) {
+                self.stats.bytes_uploaded += bytes;
+            }
+        } else {
+            self.no_room.insert(node);
+        }
+        Ok(())
+    }
+
+    /// Notes a node that cannot be read.
+    pub(super) fn note_failure(&mut self, node: SceneNode, reason: String) {
+        self.failed.insert(node);
+        self.note_problem(reason);
     }
 
     /// How many leading nodes have at most that many bytes together; at least one.
     fn leading_nodes(&self, nodes: &[SceneNode], most_bytes: u64) -> usize {
         let mut sum_bytes = 0;
         let fitting = nodes.iter().take_while(|&&node| {
-            sum_bytes += self.node_bytes(node);
+            sum_bytes += self.node_size(node).word_bytes;
             sum_bytes <= most_bytes
         });
         fitting.count().max(1)
     }
 
-    /// Bytes of a node's words.
-    fn node_bytes(&self, (cloud, node): SceneNode) -> u64 {
-        let octree = self.sources[cloud].octree();
-        let words = position_words(octree.local_bits(node)) + 1;
-        4 * u64::from(words) * u64::from(octree.node(node).point_count())
-    }
-
-    /// The words of a node, positions first, and how many are positions.
-    fn read_node(
-        &self,
-        (cloud, node): SceneNode,
-    ) -> Result<(Vec<u32>, u32), crate::store::NodeReadError> {
-        let source = self.sources[cloud].as_ref();
-        let mut positions = Vec::new();
-        source.read_positions(node, &mut positions)?;
-        let position_words = positions.len();
-        let mut words = Vec::with_capacity(position_words / 2 * 3);
-        words.extend_from_slice(&positions);
-        let coloring = &self.coloring[cloud];
-        coloring.append_colors(source, node, &positions, &mut words, &mut Vec::new())?;
-        Ok((words, position_words as u32))
-    }
-
-    fn insert(
-        &mut self,
-        node: SceneNode,
-        words: Vec<u32>,
-        position_words: u32,
-    ) -> Result<bool, FrameError> {
-        let depth = self.sources[node.0].octree().node(node.1).depth;
-        match &self.device {
-            Device::Cpu { .. } => {
-                Ok(self.cache.insert_in_memory(node, depth, words, position_words))
-            }
-            #[cfg(feature = "gpu")]
-            Device::Gpu(on_gpu) => {
-                let gpu = &on_gpu.gpu;
-                let fits = self.cache.insert_on_device(gpu, node, depth, &words, position_words)?;
-                if fits {
-                    self.stats.bytes_uploaded += 4 * words.len() as u64;
-                }
-                Ok(fits)
-            }
-        }
-    }
-
     /// Sends what was written so far, so that copies in waiting do not pile up.
-    fn flush_uploads(&self) {
+    pub(super) fn flush_uploads(&self) {
         #[cfg(feature = "gpu")]
         if let Device::Gpu(on_gpu) = &self.device {
             on_gpu.gpu.queue().submit([]);

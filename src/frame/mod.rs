@@ -2,8 +2,8 @@
 //!
 //! [`Renderer::render`] reads: choose what to draw, load what is missing, fill the draw table,
 //! draw, resolve. Where points come from is behind [`NodeSource`]; how they are coloured is in
-//! [`ColorMode`]. The loader is simple: it reads in this call, in parallel, what the cut asks for,
-//! all of it or up to a quota per frame. No thread of its own.
+//! [`ColorMode`]. A scene that fits the room for it is read in this call, in parallel, all that is
+//! wanted or up to a quota per frame; a larger one comes through [`stream`](crate::stream).
 
 mod color;
 mod device;
@@ -11,12 +11,14 @@ mod drawing;
 mod last_frame;
 mod loading;
 mod node_cache;
+mod plan;
 mod reference;
 mod renderer;
+mod scene_reader;
 mod settings;
-mod settle_colors;
 mod source;
 mod stats;
+mod streaming;
 
 pub use color::{ColorMode, class_color};
 pub use reference::reference_picture;

@@ -3,21 +3,18 @@
 //! When room is needed, nodes leave that were drawn longest ago, deeper ones first, so that a
 //! parent stays as long as its children; a node of the current frame never leaves.
 
-use std::cmp::Reverse;
 use std::collections::HashMap;
+use std::sync::Arc;
 
 #[cfg(feature = "gpu")]
 use crate::gpu::{Gpu, GpuError, WordArena, WordRange};
-use crate::ids::NodeId;
-
-/// A node of a scene: which cloud, which node.
-pub type SceneNode = (usize, NodeId);
+use crate::stream::{LoadedNode, Lru, SceneNode};
 
 /// Position words, then colour words of one node.
 #[derive(Debug)]
 pub enum Words {
     /// In memory.
-    Memory(Vec<u32>),
+    Memory(Arc<LoadedNode>),
     /// On the device.
     #[cfg(feature = "gpu")]
     Device(WordRange),
@@ -30,9 +27,6 @@ pub struct ReadyNode {
     pub words: Words,
     /// How many of them are positions.
     pub position_words: u32,
-    count: u32,
-    depth: u32,
-    last_frame: u64,
 }
 
 /// Where words go.
@@ -53,7 +47,7 @@ pub enum Storage {
 pub struct NodeCache {
     storage: Storage,
     nodes: HashMap<SceneNode, ReadyNode>,
-    held_words: u64,
+    lru: Lru<SceneNode>,
     frame: u64,
     evicted: u32,
 }
@@ -61,7 +55,8 @@ pub struct NodeCache {
 impl NodeCache {
     /// An empty cache.
     pub fn new(storage: Storage) -> Self {
-        NodeCache { storage, nodes: HashMap::new(), held_words: 0, frame: 0, evicted: 0 }
+        let (nodes, lru) = (HashMap::new(), Lru::default());
+        NodeCache { storage, nodes, lru, frame: 0, evicted: 0 }
     }
 
     /// Starts a frame; nodes touched from here on stay until the next one.
@@ -82,9 +77,7 @@ impl NodeCache {
 
     /// Marks a node as used by this frame.
     pub fn touch(&mut self, node: SceneNode) {
-        if let Some(ready) = self.nodes.get_mut(&node) {
-            ready.last_frame = self.frame;
-        }
+        self.lru.touch(node, self.frame);
     }
 
     /// The storage, for binding.
@@ -95,24 +88,21 @@ impl NodeCache {
 
     /// Bytes of all ready nodes.
     pub fn held_bytes(&self) -> u64 {
-        4 * self.held_words
+        self.lru.bytes()
+    }
+
+    /// Most bytes that ready nodes may have.
+    pub fn limit_bytes(&self) -> u64 {
+        match &self.storage {
+            Storage::Memory { limit_bytes } => *limit_bytes,
+            #[cfg(feature = "gpu")]
+            Storage::Device(arena) => arena.limit_bytes(),
+        }
     }
 
     /// Nodes that had to leave in this frame.
     pub fn evicted(&self) -> u32 {
         self.evicted
-    }
-
-    /// Bytes that nodes could still take, if all that this frame does not use left.
-    pub fn room_bytes(&self) -> u64 {
-        let in_use = self.nodes.values().filter(|ready| ready.last_frame == self.frame);
-        let used_bytes: u64 = in_use.map(|ready| 4 * u64::from(ready.count)).sum();
-        let limit_bytes = match &self.storage {
-            Storage::Memory { limit_bytes } => *limit_bytes,
-            #[cfg(feature = "gpu")]
-            Storage::Device(arena) => arena.limit_bytes(),
-        };
-        limit_bytes.saturating_sub(used_bytes)
     }
 
     /// Removes all nodes.
@@ -126,18 +116,18 @@ impl NodeCache {
         &mut self,
         node: SceneNode,
         depth: u32,
-        words: Vec<u32>,
-        position_words: u32,
+        loaded: Arc<LoadedNode>,
     ) -> bool {
         #[cfg_attr(not(feature = "gpu"), expect(irrefutable_let_patterns, reason = "one variant"))]
         let Storage::Memory { limit_bytes } = self.storage else { return false };
-        let count = words.len() as u32;
-        while self.held_bytes() + 4 * u64::from(count) > limit_bytes {
+        let bytes = loaded.bytes();
+        while self.held_bytes() + bytes > limit_bytes {
             if !self.evict_one() {
                 return false;
             }
         }
-        self.add(node, depth, Words::Memory(words), position_words, count);
+        let position_words = loaded.position_words;
+        self.add(node, depth, ReadyNode { words: Words::Memory(loaded), position_words }, bytes);
         true
     }
 
@@ -148,15 +138,16 @@ impl NodeCache {
         gpu: &Gpu,
         node: SceneNode,
         depth: u32,
-        words: &[u32],
-        position_words: u32,
+        loaded: &LoadedNode,
     ) -> Result<bool, GpuError> {
-        let count = words.len() as u32;
+        let count = loaded.words.len() as u32;
         loop {
             let Storage::Device(arena) = &mut self.storage else { return Ok(false) };
             if let Some(range) = arena.allocate(gpu, count)? {
-                arena.write(gpu, range, 0, words);
-                self.add(node, depth, Words::Device(range), position_words, count);
+                arena.write(gpu, range, 0, &loaded.words);
+                let position_words = loaded.position_words;
+                let ready = ReadyNode { words: Words::Device(range), position_words };
+                self.add(node, depth, ready, loaded.bytes());
                 return Ok(true);
             }
             if !self.evict_one() {
@@ -165,28 +156,26 @@ impl NodeCache {
         }
     }
 
-    fn add(&mut self, node: SceneNode, depth: u32, words: Words, position_words: u32, count: u32) {
+    fn add(&mut self, node: SceneNode, depth: u32, ready: ReadyNode, bytes: u64) {
         self.remove(node);
-        self.held_words += u64::from(count);
-        let last_frame = self.frame;
-        self.nodes.insert(node, ReadyNode { words, position_words, count, depth, last_frame });
+        self.lru.insert(node, bytes, depth, self.frame);
+        self.nodes.insert(node, ready);
     }
 
     fn remove(&mut self, node: SceneNode) {
         let Some(ready) = self.nodes.remove(&node) else { return };
-        self.held_words -= u64::from(ready.count);
+        self.lru.remove(node);
         #[cfg(feature = "gpu")]
         if let (Words::Device(range), Storage::Device(arena)) = (&ready.words, &mut self.storage) {
             arena.free(*range);
         }
+        #[cfg(not(feature = "gpu"))]
+        drop(ready);
     }
 
     /// Removes the node that is missed least; `false` if all are in use.
     fn evict_one(&mut self) -> bool {
-        let idle = self.nodes.iter().filter(|(_, ready)| ready.last_frame < self.frame);
-        let oldest =
-            idle.min_by_key(|&(&node, ready)| (ready.last_frame, Reverse(ready.depth), node));
-        let Some(node) = oldest.map(|(&node, _)| node) else { return false };
+        let Some(node) = self.lru.oldest_before(self.frame) else { return false };
         self.remove(node);
         self.evicted += 1;
         true
@@ -196,21 +185,23 @@ impl NodeCache {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ids::NodeId;
 
     #[test]
     fn the_longest_unused_and_deepest_leaves_first() {
         let mut cache = NodeCache::new(Storage::Memory { limit_bytes: 4 * 30 });
         let node = |id| (0, NodeId(id));
+        let words = || Arc::new(LoadedNode { words: vec![0; 10], position_words: 8 });
         for (id, depth) in [(0, 0), (1, 1), (2, 1)] {
-            assert!(cache.insert_in_memory(node(id), depth, vec![0; 10], 8));
+            assert!(cache.insert_in_memory(node(id), depth, words()));
         }
         cache.begin_frame();
         cache.touch(node(1));
-        assert!(cache.insert_in_memory(node(3), 1, vec![0; 10], 8));
+        assert!(cache.insert_in_memory(node(3), 1, words()));
         assert!(!cache.contains(node(2)) && cache.contains(node(0)), "the deeper of two");
-        assert!(cache.insert_in_memory(node(4), 1, vec![0; 10], 8));
+        assert!(cache.insert_in_memory(node(4), 1, words()));
         assert!(!cache.contains(node(0)));
-        assert!(!cache.insert_in_memory(node(5), 1, vec![0; 10], 8), "all are in use");
+        assert!(!cache.insert_in_memory(node(5), 1, words()), "all are in use");
         assert_eq!((cache.evicted(), cache.held_bytes()), (2, 120));
     }
 }

@@ -4,32 +4,43 @@ use std::collections::HashSet;
 use std::sync::Arc;
 use std::time::Instant;
 
-use crate::frame::color::Coloring;
 use crate::frame::device::Device;
 #[cfg(feature = "gpu")]
 use crate::frame::device::{GpuPass, OnGpu};
-use crate::frame::node_cache::{NodeCache, SceneNode, Storage};
+use crate::frame::node_cache::{NodeCache, Storage};
+use crate::frame::plan::Plan;
+use crate::frame::scene_reader::{Former, SceneReader};
 use crate::frame::settings::check_view;
-use crate::frame::{
-    ColorMode, FrameError, FrameSettings, FrameStats, NodeSource, PassTime, RasterPath,
-};
+use crate::frame::streaming::Streaming;
+use crate::frame::{FrameError, FrameSettings, FrameStats, NodeSource, PassTime, RasterPath};
 use crate::geometry::{Aabb, View};
 #[cfg(feature = "gpu")]
 use crate::gpu::{Gpu, PassTimer, WordArena, shader::PixelAtomics};
+use crate::ids::NodeId;
 use crate::passes::{DrawTable, Picture, PointsCpu, Tile};
 #[cfg(feature = "gpu")]
 use crate::passes::{Finish, PointsCompute, PointsRaster};
-use crate::select::CutScratch;
+use crate::select::{Cut, CutScratch};
+use crate::stream::SceneNode;
 
 /// Draws a scene from changing views.
 pub struct Renderer {
     pub(super) device: Device,
     pub(super) sources: Vec<Arc<dyn NodeSource>>,
-    pub(super) coloring: Vec<Coloring>,
-    pub(super) colored_by: Option<ColorMode>,
+    /// Bytes that all nodes of the scene have when they are ready.
+    pub(super) scene_bytes: u64,
+    /// Reads nodes in the colours they have now.
+    pub(super) reader: Option<Arc<SceneReader>>,
+    pub(super) has_noted_colors: bool,
     /// How the scene was coloured that this one takes the place of.
-    pub(super) former: Option<(ColorMode, Vec<Coloring>)>,
+    pub(super) former: Option<Former>,
     pub(super) cache: NodeCache,
+    pub(super) plan: Plan,
+    /// Nodes of the plan that found no room, because it is in pieces.
+    pub(super) no_room: HashSet<SceneNode>,
+    pub(super) streaming: Streaming,
+    /// Bytes read up to the last frame.
+    read_before: u64,
     pub(super) failed: HashSet<SceneNode>,
     pub(super) problems: Vec<String>,
     pub(super) scratch: CutScratch,
@@ -71,10 +82,15 @@ impl Renderer {
         Renderer {
             device,
             sources: Vec::new(),
-            coloring: Vec::new(),
-            colored_by: None,
+            scene_bytes: 0,
+            reader: None,
+            has_noted_colors: false,
             former: None,
             cache: NodeCache::new(storage),
+            plan: Plan::default(),
+            no_room: HashSet::new(),
+            streaming: Streaming::default(),
+            read_before: 0,
             failed: HashSet::new(),
             problems: Vec::new(),
             scratch: CutScratch::default(),
@@ -102,8 +118,13 @@ impl Renderer {
     /// Replaces the scene; what was loaded of the old one is dropped.
     pub fn set_scene(&mut self, sources: Vec<Arc<dyn NodeSource>>) {
         self.sources = sources;
-        self.colored_by = None;
+        self.read_before = self.bytes_read();
+        self.scene_bytes = self.all_node_bytes();
+        self.reader = None;
         self.former = None;
+        self.plan.invalidate();
+        self.no_room.clear();
+        self.streaming.stop();
         self.failed.clear();
         self.problems.clear();
         self.cache.clear();
@@ -113,7 +134,10 @@ impl Renderer {
     /// Replaces the scene by one that shows the same more exactly: where ranges of colours are
     /// nearly those that are shown, they stay as they are.
     pub fn replace_scene(&mut self, sources: Vec<Arc<dyn NodeSource>>) {
-        let shown = self.colored_by.take().zip(Some(std::mem::take(&mut self.coloring)));
+        let shown = self
+            .reader
+            .take()
+            .and_then(|reader| Some((reader.mode().clone(), reader.settled()?.coloring.clone())));
         let former = shown.or(self.former.take());
         self.set_scene(sources);
         self.former = former;
@@ -153,9 +177,12 @@ impl Renderer {
             self.collect_gpu_times();
             return Ok(&self.stats);
         }
-        self.prepare(view, settings)?;
-        self.draw(view, Tile::whole(view), settings)?;
-        self.stats.tiles = 1;
+        if self.prepare(view, settings)? {
+            self.draw(view, Tile::whole(view), settings)?;
+            self.stats.tiles = 1;
+        } else {
+            self.collect_gpu_times();
+        }
         self.stats.frame_ms = milliseconds(start);
         self.last = Some((*view, settings.clone(), self.stats.complete));
         Ok(&self.stats)
@@ -196,14 +223,35 @@ impl Renderer {
         Ok(whole.or(only).expect("a view has at least one tile"))
     }
 
-    /// The steps before drawing: colours, selection, loading, table.
-    fn prepare(&mut self, view: &View, settings: &FrameSettings) -> Result<(), FrameError> {
-        let read_before = self.bytes_read();
+    /// The steps before drawing: loading, selection, table. Whether there is anything to draw that
+    /// the last frame does not show.
+    fn prepare(&mut self, view: &View, settings: &FrameSettings) -> Result<bool, FrameError> {
         self.stats = FrameStats::default();
         self.cache.begin_frame();
-        self.settle_colors(&settings.color);
-        let cuts = self.select_and_load(view, settings)?;
-        self.fill_table(&cuts, view, settings);
+        let changed = self.load(view, settings)?;
+        let is_other = !matches!(&self.last, Some((last_view, last_settings, _))
+            if last_view == view && last_settings == settings);
+        if changed || is_other {
+            let cuts = self.select_loaded(view, settings);
+            self.fill_table(&cuts, view, settings);
+            self.note_cuts(&cuts);
+            cuts.into_iter().for_each(|cut| self.scratch.recycle(cut));
+        } else {
+            self.stats.unchanged = true;
+        }
+        self.stats.nodes_failed = self.failed.len() as u32;
+        self.stats.nodes_evicted = self.cache.evicted();
+        self.stats.node_bytes = self.cache.held_bytes();
+        let bytes_read = self.bytes_read();
+        self.stats.bytes_read = bytes_read - self.read_before;
+        self.read_before = bytes_read;
+        self.stats.stream = self.stream_stats();
+        self.stats.problems = self.problems.clone();
+        self.stats.complete = self.stats.nodes_requested == 0;
+        Ok(changed || is_other)
+    }
+
+    fn note_cuts(&mut self, cuts: &[Cut]) {
         self.stats.points_drawn = self.table.points;
         self.stats.splat_pixels = self.table.splat_pixels;
         self.stats.point_bytes = self.table.point_bytes;
@@ -213,16 +261,15 @@ impl Renderer {
         self.stats.nodes_culled = counters().map(|c| c.nodes_culled).sum();
         self.stats.nodes_fine_enough = counters().map(|c| c.nodes_fine_enough).sum();
         self.stats.nodes_over_budget = counters().map(|c| c.nodes_over_budget).sum();
-        self.stats.nodes_requested = cuts.iter().map(|cut| cut.requests.len() as u32).sum();
-        self.stats.nodes_failed = self.failed.len() as u32;
-        self.stats.nodes_evicted = self.cache.evicted();
-        self.stats.node_bytes = self.cache.held_bytes();
-        self.stats.bytes_read = self.bytes_read() - read_before;
-        self.stats.problems = self.problems.clone();
-        // What has no room will not come by waiting.
-        self.stats.complete = self.stats.nodes_requested <= self.stats.nodes_without_room;
-        cuts.into_iter().for_each(|cut| self.scratch.recycle(cut));
-        Ok(())
+    }
+
+    /// Bytes that all nodes of the scene have when they are ready.
+    fn all_node_bytes(&self) -> u64 {
+        let nodes = self.sources.iter().enumerate().flat_map(|(cloud, source)| {
+            let count = source.octree().nodes().len() as u32;
+            (0..count).map(move |node| (cloud, NodeId(node)))
+        });
+        nodes.map(|node| self.node_size(node).word_bytes).sum()
     }
 
     fn still_holds(&self, view: &View, settings: &FrameSettings) -> bool {

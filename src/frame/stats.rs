@@ -2,6 +2,8 @@
 
 use serde::Serialize;
 
+use crate::stream::StreamStats;
+
 /// Counters and times of one frame. Counters repeat on any machine, times do not.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct FrameStats {
@@ -21,15 +23,18 @@ pub struct FrameStats {
     pub draw_calls: u32,
     /// Compute dispatches.
     pub dispatches: u32,
-    /// Nodes read in this frame.
+    /// Nodes that became ready in this frame.
     pub nodes_loaded: u32,
-    /// Nodes that were asked for and are not there yet.
+    /// Nodes that this frame waited for while they were read and unpacked; 0 if the loader does
+    /// that.
+    pub nodes_waited_for: u32,
+    /// Nodes that the view wants, have room, and are not there yet.
     pub nodes_requested: u32,
     /// Nodes that cannot be read.
     pub nodes_failed: u32,
     /// Nodes taken out of memory for others.
     pub nodes_evicted: u32,
-    /// Nodes left out because the memory for nodes is full.
+    /// Nodes that the view wants beyond the room there is for nodes; they are not asked for.
     pub nodes_without_room: u32,
     /// Nodes left out because they are out of sight.
     pub nodes_culled: u32,
@@ -39,12 +44,15 @@ pub struct FrameStats {
     pub nodes_over_budget: u32,
     /// Nodes taken from the priority queue; 0 if all of the cloud fits the budget.
     pub queue_pops: u32,
-    /// Bytes read from disk.
+    /// Bytes read from disk since the last frame.
     pub bytes_read: u64,
     /// Bytes sent to the device: words of nodes and tables of the frame.
     pub bytes_uploaded: u64,
     /// Bytes of points held for drawing.
     pub node_bytes: u64,
+    /// What the loader did and holds; absent while the scene needs none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stream: Option<StreamStats>,
     /// Parts that the picture was drawn in.
     pub tiles: u32,
     /// Time of the whole call.

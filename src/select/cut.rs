@@ -107,6 +107,8 @@ pub struct DrawNode {
     pub splat_level: u32,
     /// Share of these points that is drawn, 0..=1; below 1 only where levels pass continuously.
     pub share: f32,
+    /// Size of its cell on screen, pixels; infinite with the eye inside.
+    pub priority_px: f64,
 }
 
 /// One node to load.
@@ -446,7 +448,9 @@ impl Walk<'_> {
             Availability::Resident => {
                 cut.counters.nodes_drawn += 1;
                 cut.counters.points_drawn += u64::from(count);
-                cut.draw.push(DrawNode { node, count, splat_level: 0, share: 1.0 });
+                let priority_px = candidate.priority_px;
+                let splat_level = 0;
+                cut.draw.push(DrawNode { node, count, splat_level, share: 1.0, priority_px });
                 self.wanted[octree].push(0);
             }
             Availability::Absent => {

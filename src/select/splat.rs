@@ -348,6 +348,7 @@ mod tests {
                 count,
                 splat_level: 0,
                 share: 1.0,
+                priority_px: 0.0,
             })
             .collect();
         let requests = requested

@@ -15,7 +15,7 @@ use crate::gpu::layout::position_words;
 use crate::ids::NodeId;
 use crate::octree::Octree;
 use crate::points::{Scalar, names};
-use crate::store::NodeReadError;
+use crate::store::{FetchedNode, NodeReadError, SectionContent};
 
 /// What points are coloured by.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -209,21 +209,31 @@ impl Coloring {
         })
     }
 
-    /// Appends the colours of a node; `positions` are its words, `bytes` is room for a column.
+    /// The column that colours come from, besides positions.
+    pub fn column(&self) -> Option<SectionContent> {
+        match self {
+            Coloring::Rgb => Some(SectionContent::Color),
+            Coloring::Plain | Coloring::Elevation(_) => None,
+            Coloring::Values { attribute, .. } | Coloring::Classes { attribute, .. } => {
+                Some(SectionContent::Attribute(*attribute as u32))
+            }
+        }
+    }
+
+    /// Appends the colours of a node; `positions` are its words.
     pub fn append_colors(
         &self,
-        source: &dyn NodeSource,
-        node: NodeId,
+        columns: &NodeColumns,
         positions: &[u32],
         words: &mut Vec<u32>,
-        bytes: &mut Vec<u8>,
     ) -> Result<(), NodeReadError> {
+        let NodeColumns { source, node, .. } = *columns;
         let octree = source.octree();
         let count = octree.node(node).point_count() as usize;
         match self {
             Coloring::Rgb => {
                 let mut colors = Vec::new();
-                source.read_colors(node, &mut colors)?;
+                columns.colors(&mut colors)?;
                 words.append(&mut colors);
             }
             Coloring::Plain => words.resize(words.len() + count, PLAIN),
@@ -231,18 +241,55 @@ impl Coloring {
                 words.extend(elevations(octree, node, positions).map(|z| ramp.color(z)));
             }
             Coloring::Values { attribute, ramp } => {
-                source.read_attribute(node, *attribute, bytes)?;
+                let bytes = columns.attribute(*attribute)?;
                 let attribute = &source.schema().attributes[*attribute];
-                let values = first_components(bytes, attribute.scalar, attribute.bytes());
+                let values = first_components(&bytes, attribute.scalar, attribute.bytes());
                 words.extend(values.map(|value| ramp.color(value)));
             }
             Coloring::Classes { attribute, mask } => {
-                source.read_attribute(node, *attribute, bytes)?;
+                let bytes = columns.attribute(*attribute)?;
                 let colors: Vec<u32> = (0..=255).map(|code| class_color(code & mask)).collect();
                 words.extend(bytes.iter().map(|&code| colors[usize::from(code)]));
             }
         }
         Ok(())
+    }
+}
+
+/// The columns of one node, of what was fetched of it or else as the source reads them.
+#[derive(Clone, Copy)]
+pub struct NodeColumns<'a> {
+    /// Where it is from.
+    pub source: &'a dyn NodeSource,
+    /// The node.
+    pub node: NodeId,
+    /// Its stored bytes.
+    pub fetched: Option<&'a FetchedNode>,
+}
+
+impl NodeColumns<'_> {
+    /// Replaces `words` by the positions.
+    pub fn positions(&self, words: &mut Vec<u32>) -> Result<(), NodeReadError> {
+        match self.fetched {
+            Some(fetched) => self.source.unpack_positions(fetched, words),
+            None => self.source.read_positions(self.node, words),
+        }
+    }
+
+    fn colors(&self, words: &mut Vec<u32>) -> Result<(), NodeReadError> {
+        match self.fetched {
+            Some(fetched) => self.source.unpack_colors(fetched, words),
+            None => self.source.read_colors(self.node, words),
+        }
+    }
+
+    fn attribute(&self, attribute: usize) -> Result<Vec<u8>, NodeReadError> {
+        let mut bytes = Vec::new();
+        match self.fetched {
+            Some(fetched) => self.source.unpack_attribute(fetched, attribute, &mut bytes)?,
+            None => self.source.read_attribute(self.node, attribute, &mut bytes)?,
+        }
+        Ok(bytes)
     }
 }
 

@@ -181,7 +181,7 @@ impl Renderer {
     fn leading_nodes(&self, nodes: &[SceneNode], most_bytes: u64) -> usize {
         let mut sum_bytes = 0;
         let fitting = nodes.iter().take_while(|&&node| {
-            sum_bytes += self.node_size(node).word_bytes;
+            sum_bytes += self.word_bytes(node);
             sum_bytes <= most_bytes
         });
         fitting.count().max(1)

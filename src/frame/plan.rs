@@ -109,7 +109,7 @@ impl Renderer {
     ) -> u32 {
         let all = self.best_first(cuts);
         let mut left_bytes = limit_bytes;
-        let fits = |&node: &SceneNode| takes(&mut left_bytes, self.node_size(node).word_bytes);
+        let fits = |&node: &SceneNode| takes(&mut left_bytes, self.word_bytes(node));
         wanted.clear();
         wanted.extend(all.iter().copied().take_while(fits));
         (all.len() - wanted.len()) as u32
@@ -128,14 +128,21 @@ impl Renderer {
         all.into_iter().map(|(.., node)| node).collect()
     }
 
+    /// Bytes of a node's words.
+    pub(super) fn word_bytes(&self, (cloud, node): SceneNode) -> u64 {
+        let octree = self.sources[cloud].octree();
+        let words = position_words(octree.local_bits(node)) + 1;
+        4 * u64::from(words) * u64::from(octree.node(node).point_count())
+    }
+
     /// What is known of a node's sizes.
     pub(super) fn node_size(&self, (cloud, node): SceneNode) -> NodeSize {
-        let source = &self.sources[cloud];
-        let octree = source.octree();
-        let outer = octree.node(node);
-        let words = position_words(octree.local_bits(node)) + 1;
-        let word_bytes = 4 * u64::from(words) * u64::from(outer.point_count());
-        NodeSize { stored_bytes: word_bytes, word_bytes, depth: outer.depth }
+        let word_bytes = self.word_bytes((cloud, node));
+        let stored = self.reader.as_ref().and_then(|reader| reader.stored_bytes((cloud, node)));
+        // Stored bytes are never more than what they hold.
+        let stored_bytes = stored.unwrap_or(word_bytes);
+        let depth = self.sources[cloud].octree().node(node).depth;
+        NodeSize { stored_bytes, word_bytes, depth }
     }
 
     /// The node above one; `None` above a root.

@@ -1,6 +1,6 @@
 //! The reference picture of a source: every point, in the colours that frames have.
 
-use crate::frame::color::{Coloring, elevation_range};
+use crate::frame::color::{Coloring, NodeColumns, elevation_range};
 use crate::frame::{ColorMode, NodeSource};
 use crate::geometry::View;
 use crate::passes::{self, Picture};
@@ -17,6 +17,7 @@ pub fn reference_picture(
     passes::reference_picture(source.octree(), view, background, |node, positions, colors| {
         source.read_positions(node, positions)?;
         colors.clear();
-        coloring.append_colors(source, node, positions, colors, &mut Vec::new())
+        let columns = NodeColumns { source, node, fetched: None };
+        coloring.append_colors(&columns, positions, colors)
     })
 }

@@ -269,7 +269,7 @@ impl Renderer {
             let count = source.octree().nodes().len() as u32;
             (0..count).map(move |node| (cloud, NodeId(node)))
         });
-        nodes.map(|node| self.node_size(node).word_bytes).sum()
+        nodes.map(|node| self.word_bytes(node)).sum()
     }
 
     fn still_holds(&self, view: &View, settings: &FrameSettings) -> bool {

@@ -5,9 +5,10 @@
 
 use std::sync::{Arc, OnceLock};
 
-use crate::frame::color::{Coloring, elevation_range, shows_elevation};
+use crate::frame::color::{Coloring, NodeColumns, elevation_range, shows_elevation};
 use crate::frame::{ColorMode, NodeSource};
-use crate::store::NodeReadError;
+use crate::gpu::layout::position_words;
+use crate::store::{FetchedNode, NodeReadError, SectionContent};
 use crate::stream::{Fetched, LoadError, LoadedNode, NodeReader, SceneNode};
 
 /// A mode and what it was settled to, of a scene that another takes the place of.
@@ -47,19 +48,44 @@ impl SceneReader {
         self.settled.get()
     }
 
+    /// Bytes to be read for a node.
+    pub(super) fn stored_bytes(&self, (cloud, node): SceneNode) -> Option<u64> {
+        let columns = self.columns(self.settled()?, cloud);
+        self.sources[cloud].fetch_bytes(node, &columns)
+    }
+
     /// Reads and unpacks a node in this call.
     pub(super) fn read(&self, (cloud, node): SceneNode) -> Result<LoadedNode, NodeReadError> {
         let settled = self.settled.get_or_init(|| self.settle());
         let source = self.sources[cloud].as_ref();
-        let mut positions = Vec::new();
-        source.read_positions(node, &mut positions)?;
-        let position_words = positions.len();
-        let count = source.octree().node(node).point_count() as usize;
-        let mut words = Vec::with_capacity(position_words + count);
-        words.extend_from_slice(&positions);
-        let coloring = &settled.coloring[cloud];
-        coloring.append_colors(source, node, &positions, &mut words, &mut Vec::new())?;
-        Ok(LoadedNode { words, position_words: position_words as u32 })
+        let fetched = source.fetch(node, &self.columns(settled, cloud))?;
+        self.unpack((cloud, node), fetched.as_ref(), settled)
+    }
+
+    fn unpack(
+        &self,
+        (cloud, node): SceneNode,
+        fetched: Option<&FetchedNode>,
+        settled: &Settled,
+    ) -> Result<LoadedNode, NodeReadError> {
+        let source = self.sources[cloud].as_ref();
+        let columns = NodeColumns { source, node, fetched };
+        let octree = source.octree();
+        let count = octree.node(node).point_count() as usize;
+        // Room for all from the start, so that words are not copied as they grow.
+        let stride = position_words(octree.local_bits(node)) as usize + 1;
+        let mut words = Vec::with_capacity(stride * count);
+        columns.positions(&mut words)?;
+        let position_words = words.len() as u32;
+        let mut colors = Vec::with_capacity(count);
+        settled.coloring[cloud].append_colors(&columns, &words, &mut colors)?;
+        words.extend_from_slice(&colors);
+        Ok(LoadedNode { words, position_words })
+    }
+
+    fn columns(&self, settled: &Settled, cloud: usize) -> Vec<SectionContent> {
+        let color = settled.coloring[cloud].column();
+        [Some(SectionContent::Positions), color].into_iter().flatten().collect()
     }
 
     fn settle(&self) -> Settled {
@@ -97,8 +123,33 @@ impl SceneReader {
     }
 }
 
-impl NodeReader for SceneReader {
-    fn fetch(&self, node: SceneNode) -> Result<Box<dyn Fetched>, LoadError> {
-        Ok(Box::new(self.read(node)?))
+/// A scene's reader as the loader takes it.
+pub(super) struct SceneNodes(pub(super) Arc<SceneReader>);
+
+/// The stored bytes of one node, and how it is to look.
+struct FetchedColumns {
+    reader: Arc<SceneReader>,
+    node: SceneNode,
+    fetched: Option<FetchedNode>,
+}
+
+impl NodeReader for SceneNodes {
+    fn fetch(&self, (cloud, node): SceneNode) -> Result<Box<dyn Fetched>, LoadError> {
+        let reader = self.0.clone();
+        let settled = reader.settled.get_or_init(|| reader.settle());
+        let columns = reader.columns(settled, cloud);
+        let fetched = reader.sources[cloud].fetch(node, &columns)?;
+        if fetched.is_none() {
+            // Nothing to be unpacked elsewhere: all of it happens here.
+            return Ok(Box::new(reader.unpack((cloud, node), None, settled)?));
+        }
+        Ok(Box::new(FetchedColumns { reader, node: (cloud, node), fetched }))
+    }
+}
+
+impl Fetched for FetchedColumns {
+    fn unpack(self: Box<Self>) -> Result<LoadedNode, LoadError> {
+        let settled = self.reader.settled.get_or_init(|| self.reader.settle());
+        Ok(self.reader.unpack(self.node, self.fetched.as_ref(), settled)?)
     }
 }

@@ -4,7 +4,7 @@ use crate::geometry::Aabb;
 use crate::ids::NodeId;
 use crate::octree::Octree;
 use crate::points::Schema;
-use crate::store::{NodeReadError, Store, ValueRange};
+use crate::store::{FetchedNode, NodeReadError, SectionContent, Store, ValueRange};
 
 /// An octree whose points can be read node by node and column by column, from any thread.
 pub trait NodeSource: Send + Sync {
@@ -32,6 +32,45 @@ pub trait NodeSource: Send + Sync {
     ) -> Result<(), NodeReadError>;
     /// Bytes read from disk so far.
     fn bytes_read(&self) -> u64;
+
+    /// Bytes that [`fetch`](Self::fetch) reads; `None` if it reads nothing.
+    fn fetch_bytes(&self, _node: NodeId, _columns: &[SectionContent]) -> Option<u64> {
+        None
+    }
+    /// Reads the stored bytes of some columns of a node, to be unpacked elsewhere; `None` if the
+    /// columns can only be read whole.
+    fn fetch(
+        &self,
+        _node: NodeId,
+        _columns: &[SectionContent],
+    ) -> Result<Option<FetchedNode>, NodeReadError> {
+        Ok(None)
+    }
+    /// As [`read_positions`](Self::read_positions), of what was fetched.
+    fn unpack_positions(
+        &self,
+        fetched: &FetchedNode,
+        words: &mut Vec<u32>,
+    ) -> Result<(), NodeReadError> {
+        self.read_positions(fetched.node(), words)
+    }
+    /// As [`read_colors`](Self::read_colors), of what was fetched.
+    fn unpack_colors(
+        &self,
+        fetched: &FetchedNode,
+        words: &mut Vec<u32>,
+    ) -> Result<(), NodeReadError> {
+        self.read_colors(fetched.node(), words)
+    }
+    /// As [`read_attribute`](Self::read_attribute), of what was fetched.
+    fn unpack_attribute(
+        &self,
+        fetched: &FetchedNode,
+        attribute: usize,
+        bytes: &mut Vec<u8>,
+    ) -> Result<(), NodeReadError> {
+        self.read_attribute(fetched.node(), attribute, bytes)
+    }
 }
 
 impl NodeSource for Store {
@@ -66,5 +105,37 @@ impl NodeSource for Store {
     }
     fn bytes_read(&self) -> u64 {
         self.bytes_read()
+    }
+    fn fetch_bytes(&self, node: NodeId, columns: &[SectionContent]) -> Option<u64> {
+        Some(self.fetch_bytes(node, columns))
+    }
+    fn fetch(
+        &self,
+        node: NodeId,
+        columns: &[SectionContent],
+    ) -> Result<Option<FetchedNode>, NodeReadError> {
+        self.fetch(node, columns).map(Some)
+    }
+    fn unpack_positions(
+        &self,
+        fetched: &FetchedNode,
+        words: &mut Vec<u32>,
+    ) -> Result<(), NodeReadError> {
+        self.unpack_positions(fetched, words)
+    }
+    fn unpack_colors(
+        &self,
+        fetched: &FetchedNode,
+        words: &mut Vec<u32>,
+    ) -> Result<(), NodeReadError> {
+        self.unpack_colors(fetched, words)
+    }
+    fn unpack_attribute(
+        &self,
+        fetched: &FetchedNode,
+        attribute: usize,
+        bytes: &mut Vec<u8>,
+    ) -> Result<(), NodeReadError> {
+        self.unpack_attribute(fetched, attribute, bytes)
     }
 }

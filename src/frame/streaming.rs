@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::frame::plan::takes;
-use crate::frame::scene_reader::SceneReader;
+use crate::frame::scene_reader::{SceneNodes, SceneReader};
 use crate::frame::{ColorMode, FrameError, FrameSettings, Renderer};
 use crate::geometry::View;
 use crate::select::{CutScratch, CutSettings};
@@ -61,7 +61,7 @@ impl Streaming {
     pub(super) fn set_reader(&mut self, reader: &Arc<SceneReader>) {
         self.ahead_made_for = None;
         if let Some(loader) = &mut self.loader {
-            loader.set_reader(reader.clone());
+            loader.set_reader(Arc::new(SceneNodes(reader.clone())));
         }
     }
 
@@ -196,7 +196,7 @@ impl Renderer {
         let Some(reader) = self.reader.clone() else { return false };
         match Loader::start(self.streaming.settings, self.streaming.wake.clone()) {
             Ok(mut loader) => {
-                loader.set_reader(reader);
+                loader.set_reader(Arc::new(SceneNodes(reader)));
                 self.streaming.loader = Some(loader);
                 true
             }
@@ -239,7 +239,7 @@ impl Renderer {
         let mut left_bytes = self.streaming.settings.memory_bytes / AHEAD_SHARE;
         let is_there = |node| self.cache.contains(node) || missing.contains(&node);
         let ahead = self.streaming.ahead.iter().copied().filter(|&node| !is_there(node));
-        ahead.take_while(|&node| takes(&mut left_bytes, self.node_size(node).word_bytes)).collect()
+        ahead.take_while(|&node| takes(&mut left_bytes, self.word_bytes(node))).collect()
     }
 
     /// What the loader did, for the statistics.

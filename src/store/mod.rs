@@ -11,6 +11,7 @@ mod check;
 mod codec;
 mod directory;
 mod error;
+mod fetched;
 mod header;
 mod metadata;
 mod reader;
@@ -24,6 +25,7 @@ pub use check::{CheckReport, Finding, check};
 pub use codec::{CodecScratch, ElementShape, Filter};
 pub use directory::SectionExtent;
 pub use error::{NodeReadError, StoreError};
+pub use fetched::FetchedNode;
 pub use header::{FoundHeader, HEADER_BYTES, Header, MAGIC, PartExtent, SLOT_BYTES, VERSION};
 pub use metadata::{
     CrsInfo, DroppedPoints, Metadata, NARROW_BITS, PoseInfo, Section, SectionContent, SkippedItems,

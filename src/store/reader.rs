@@ -16,6 +16,7 @@ use crate::store::blocks::BlockTable;
 use crate::store::bytes::StoreBytes;
 use crate::store::codec::{self, CodecScratch, ElementShape};
 use crate::store::directory::{self, SectionExtent};
+use crate::store::fetched::FetchedNode;
 use crate::store::header::{
     FoundHeader, HEADER_BYTES, Header, HeaderError, MAGIC, PartExtent, SLOT_BYTES, VERSION,
 };
@@ -276,7 +277,7 @@ impl Store {
     /// [`NARROW_BITS`](crate::store::NARROW_BITS) bits two words a point, the low and high half of
     /// the local Morton code; else three, local x, y, z.
     pub fn read_positions(&self, node: NodeId, words: &mut Vec<u32>) -> Result<(), NodeReadError> {
-        self.read_words(node, SectionContent::Positions, u32::MAX, words)
+        self.read_words(None, node, SectionContent::Positions, u32::MAX, words)
     }
 
     /// Replaces `words` by the positions of a node's first points, reading only the blocks that
@@ -287,12 +288,12 @@ impl Store {
         points: u32,
         words: &mut Vec<u32>,
     ) -> Result<(), NodeReadError> {
-        self.read_words(node, SectionContent::Positions, points, words)
+        self.read_words(None, node, SectionContent::Positions, points, words)
     }
 
     /// Replaces `words` by the colours of a node, RGBA8 with red in the lowest byte.
     pub fn read_colors(&self, node: NodeId, words: &mut Vec<u32>) -> Result<(), NodeReadError> {
-        self.read_words(node, SectionContent::Color, u32::MAX, words)
+        self.read_words(None, node, SectionContent::Color, u32::MAX, words)
     }
 
     /// Replaces `words` by the colours of a node's first points, reading only the blocks that hold
@@ -303,7 +304,7 @@ impl Store {
         points: u32,
         words: &mut Vec<u32>,
     ) -> Result<(), NodeReadError> {
-        self.read_words(node, SectionContent::Color, points, words)
+        self.read_words(None, node, SectionContent::Color, points, words)
     }
 
     /// Replaces `bytes` by an attribute's little-endian column; `attribute` counts in the schema.
@@ -313,14 +314,25 @@ impl Store {
         attribute: usize,
         bytes: &mut Vec<u8>,
     ) -> Result<(), NodeReadError> {
+        self.read_column(None, node, attribute, bytes)
+    }
+
+    /// Reads an attribute's column, from what was fetched if anything was.
+    pub(super) fn read_column(
+        &self,
+        fetched: Option<&FetchedNode>,
+        node: NodeId,
+        attribute: usize,
+        bytes: &mut Vec<u8>,
+    ) -> Result<(), NodeReadError> {
         let content = SectionContent::Attribute(attribute as u32);
         if let Some((section, _)) = self.metadata.find_section(content) {
-            return self.read_section(node, section, bytes);
+            return self.read_whole(fetched, node, section, bytes);
         }
         if self.metadata.schema.attributes.get(attribute).is_none() {
             return Err(NodeReadError::NoSuchSection { section: format!("attribute {attribute}") });
         }
-        self.read_full_color(node, bytes)
+        self.read_full_color(fetched, node, bytes)
     }
 
     /// Replaces `bytes` by a section of a node, decoded.
@@ -330,9 +342,19 @@ impl Store {
         section: usize,
         bytes: &mut Vec<u8>,
     ) -> Result<(), NodeReadError> {
+        self.read_whole(None, node, section, bytes)
+    }
+
+    fn read_whole(
+        &self,
+        fetched: Option<&FetchedNode>,
+        node: NodeId,
+        section: usize,
+        bytes: &mut Vec<u8>,
+    ) -> Result<(), NodeReadError> {
         bytes.clear();
         bytes.resize(self.raw_bytes(node, section), 0);
-        self.read_section_into(node, section, bytes)
+        self.read_section_into(fetched, node, section, bytes)
     }
 
     /// Bytes `range` of the appendix; its checksum is not looked at.
@@ -380,8 +402,9 @@ impl Store {
         self.octree.node(node).point_count() as usize * self.shape(node, section).bytes()
     }
 
-    fn read_words(
+    pub(super) fn read_words(
         &self,
+        fetched: Option<&FetchedNode>,
         node: NodeId,
         content: SectionContent,
         points: u32,
@@ -393,7 +416,7 @@ impl Store {
         words.clear();
         let points = points.min(self.octree.node(node).point_count()) as usize;
         words.resize(points * self.shape(node, section).bytes() / 4, 0);
-        self.read_section_into(node, section, bytemuck::cast_slice_mut(words))?;
+        self.read_section_into(fetched, node, section, bytemuck::cast_slice_mut(words))?;
         if cfg!(target_endian = "big") {
             words.iter_mut().for_each(|word| *word = u32::from_le(*word));
         }
@@ -401,12 +424,17 @@ impl Store {
     }
 
     /// The record's `rgb` attribute, put together from the colour sections.
-    fn read_full_color(&self, node: NodeId, bytes: &mut Vec<u8>) -> Result<(), NodeReadError> {
+    fn read_full_color(
+        &self,
+        fetched: Option<&FetchedNode>,
+        node: NodeId,
+        bytes: &mut Vec<u8>,
+    ) -> Result<(), NodeReadError> {
         let mut colors = Vec::new();
-        self.read_colors(node, &mut colors)?;
+        self.read_words(fetched, node, SectionContent::Color, u32::MAX, &mut colors)?;
         let mut low = Vec::new();
         if let Some((section, _)) = self.metadata.find_section(SectionContent::ColorLow) {
-            self.read_section(node, section, &mut low)?;
+            self.read_whole(fetched, node, section, &mut low)?;
         }
         bytes.clear();
         bytes.reserve(6 * colors.len());
@@ -426,6 +454,7 @@ impl Store {
     /// Reads the first elements of a section, as many as `raw` has room for.
     fn read_section_into(
         &self,
+        fetched: Option<&FetchedNode>,
         node: NodeId,
         section: usize,
         raw: &mut [u8],
@@ -453,6 +482,9 @@ impl Store {
         }
         let read = |stored: &mut Vec<u8>, from: u64, to: u64| {
             stored.resize((to - from) as usize, 0);
+            if fetched.is_some_and(|fetched| fetched.copy(stored, start + from)) {
+                return Ok(());
+            }
             self.read_at(stored, start + from).map_err(|source| NodeReadError::Io {
                 node,
                 level,
@@ -502,7 +534,7 @@ impl Store {
     }
 
     /// Reads from memory what is there, the rest from the file.
-    fn read_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
+    pub(super) fn read_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
         let (first, coarse) = &self.coarse;
         if let Some(at) = offset.checked_sub(*first)
             && let Ok(at) = usize::try_from(at)

@@ -165,7 +165,7 @@ pub fn run(args: RenderArgs) -> anyhow::Result<ExitCode> {
         frames.push(frame);
     }
     for problem in &drawing.renderer.stats().problems {
-        eprintln!("esker: {problem}; coarser points stand in");
+        eprintln!("esker: {problem}");
     }
     if let Some(path) = &args.stats {
         write_stats(path, &args, &settings, &drawing, frames, is_path)?;

@@ -31,6 +31,10 @@ pub struct ViewArgs {
     /// Most memory for points ready to be drawn, such as 2GiB
     #[arg(long, value_parser = crate::commands::quantities::parse_bytes)]
     point_memory: Option<u64>,
+    /// Most main memory for points on their way or kept for their return, such as 2GiB; used only
+    /// if the files do not fit --point-memory [default: a quarter of what there is]
+    #[arg(long, value_parser = crate::commands::quantities::parse_bytes)]
+    cache_memory: Option<u64>,
     /// Size of the window
     #[arg(long, default_value = "1280x800",
         value_parser = crate::commands::quantities::parse_picture_size)]
@@ -79,6 +83,7 @@ pub fn run(args: ViewArgs) -> anyhow::Result<ExitCode> {
         files: inputs::expand_files(&args.files)?,
         path: args.renderer.path(),
         node_limit_bytes: args.point_memory,
+        cache_bytes: args.cache_memory,
         point_budget: args.budget,
         size: args.size,
         exit_after,

@@ -41,10 +41,14 @@ impl Renderer {
                 self.streaming.stop();
             }
             // Again only for what stands in for nodes that cannot be read.
+            let is_first = settings.loading != Loading::All && self.cache.held_bytes() == 0;
             while left_bytes > 0 {
-                let missing = self.missing();
+                let mut missing = self.missing();
                 if missing.is_empty() {
                     break;
+                }
+                if is_first {
+                    self.keep_what_is_at_hand(&mut missing);
                 }
                 let loaded_bytes = self.read_now(&missing, left_bytes)?;
                 left_bytes = left_bytes.saturating_sub(loaded_bytes);
@@ -57,8 +61,19 @@ impl Renderer {
         self.note_color_problems();
         self.stats.nodes_requested = self.missing().len() as u32;
         self.stats.nodes_without_room = self.plan.beyond + self.no_room.len() as u32;
-        self.note_time("load", milliseconds(start));
+        let planning_ms = self.noted_ms("select");
+        self.note_time("load", milliseconds(start) - planning_ms);
         Ok(changed)
+    }
+
+    /// Leaves what needs no disk, if there is any: the first picture of a scene does not wait for
+    /// more.
+    fn keep_what_is_at_hand(&self, missing: &mut Vec<SceneNode>) {
+        if let Some(reader) = &self.reader
+            && missing.first().is_some_and(|&node| reader.is_at_hand(node))
+        {
+            missing.retain(|&node| reader.is_at_hand(node));
+        }
     }
 
     /// What is drawn of what is there.
@@ -91,7 +106,9 @@ impl Renderer {
 
     /// Makes the plan fit the view, and keeps what it wants from leaving. Whether it is new.
     pub(super) fn plan_and_touch(&mut self, view: &View, settings: &FrameSettings) -> bool {
+        let start = Instant::now();
         let is_new = self.update_plan(view, &settings.cut);
+        self.note_time("select", milliseconds(start));
         if is_new {
             self.no_room.clear();
         }
@@ -174,7 +191,7 @@ impl Renderer {
     /// Notes a node that cannot be read.
     pub(super) fn note_failure(&mut self, node: SceneNode, reason: String) {
         self.failed.insert(node);
-        self.note_problem(reason);
+        self.note_problem(format!("{reason}; coarser points stand in"));
     }
 
     /// How many leading nodes have at most that many bytes together; at least one.

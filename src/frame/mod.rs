@@ -24,5 +24,5 @@ pub use color::{ColorMode, class_color};
 pub use reference::reference_picture;
 pub use renderer::Renderer;
 pub use settings::{FrameError, FrameSettings, Loading, RasterPath};
-pub use source::NodeSource;
+pub use source::{FIRST_PICTURE_BYTES, NodeSource};
 pub use stats::{FrameStats, PassTime};

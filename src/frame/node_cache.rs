@@ -42,6 +42,9 @@ pub enum Storage {
     Device(WordArena),
 }
 
+/// A limit below which a cache does not shrink.
+const SMALLEST_BYTES: u64 = 1 << 20;
+
 /// All ready nodes.
 #[derive(Debug)]
 pub struct NodeCache {
@@ -103,6 +106,43 @@ impl NodeCache {
     /// Nodes that had to leave in this frame.
     pub fn evicted(&self) -> u32 {
         self.evicted
+    }
+
+    /// Makes room for others: gives up about half of what is held, the limit included. `false` if
+    /// there is next to nothing left to give.
+    pub fn shrink(&mut self) -> bool {
+        if self.limit_bytes() < SMALLEST_BYTES {
+            return false;
+        }
+        match &mut self.storage {
+            Storage::Memory { limit_bytes } => {
+                *limit_bytes = (*limit_bytes / 2).min(self.lru.bytes().max(SMALLEST_BYTES));
+                let limit_bytes = *limit_bytes;
+                while self.held_bytes() > limit_bytes {
+                    let Some(node) = self.lru.oldest_before(u64::MAX) else { break };
+                    self.remove(node);
+                    self.evicted += 1;
+                }
+                true
+            }
+            #[cfg(feature = "gpu")]
+            Storage::Device(arena) => {
+                let Some(last) = arena.last_shard() else { return false };
+                let is_there = |ready: &ReadyNode| matches!(&ready.words, Words::Device(range) if range.shard == last);
+                let gone: Vec<SceneNode> = self
+                    .nodes
+                    .iter()
+                    .filter(|(_, ready)| is_there(ready))
+                    .map(|(&node, _)| node)
+                    .collect();
+                self.evicted += gone.len() as u32;
+                gone.into_iter().for_each(|node| self.remove(node));
+                if let Storage::Device(arena) = &mut self.storage {
+                    arena.give_up_shard();
+                }
+                true
+            }
+        }
     }
 
     /// Removes all nodes.

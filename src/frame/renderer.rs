@@ -177,11 +177,8 @@ impl Renderer {
             self.collect_gpu_times();
             return Ok(&self.stats);
         }
-        if self.prepare(view, settings)? {
-            self.draw(view, Tile::whole(view), settings)?;
-            self.stats.tiles = 1;
-        } else {
-            self.collect_gpu_times();
+        while let Err(error) = self.try_frame(view, settings) {
+            self.shrink_for(error)?;
         }
         self.stats.frame_ms = milliseconds(start);
         self.last = Some((*view, settings.clone(), self.stats.complete));
@@ -197,7 +194,33 @@ impl Renderer {
     ) -> Result<Picture, FrameError> {
         let start = Instant::now();
         check_view(view)?;
-        self.last = None;
+        let picture = loop {
+            self.last = None;
+            match self.try_picture(view, settings) {
+                Ok(picture) => break picture,
+                Err(error) => self.shrink_for(error)?,
+            }
+        };
+        self.collect_gpu_times();
+        self.stats.frame_ms = milliseconds(start);
+        Ok(picture)
+    }
+
+    fn try_frame(&mut self, view: &View, settings: &FrameSettings) -> Result<(), FrameError> {
+        if self.prepare(view, settings)? {
+            self.draw(view, Tile::whole(view), settings)?;
+            self.stats.tiles = 1;
+        } else {
+            self.collect_gpu_times();
+        }
+        Ok(())
+    }
+
+    fn try_picture(
+        &mut self,
+        view: &View,
+        settings: &FrameSettings,
+    ) -> Result<Picture, FrameError> {
         self.prepare(view, settings)?;
         let tiles = self.tiles(view, settings.finish.reach_px());
         self.stats.tiles = tiles.len() as u32;
@@ -218,9 +241,33 @@ impl Renderer {
                 None => only = Some(part),
             }
         }
-        self.collect_gpu_times();
-        self.stats.frame_ms = milliseconds(start);
         Ok(whole.or(only).expect("a view has at least one tile"))
+    }
+
+    /// After an error for want of memory: makes the caches smaller, so that the frame can be tried
+    /// again. Any other error comes back, and this one too when there is nothing left to give.
+    fn shrink_for(&mut self, error: FrameError) -> Result<(), FrameError> {
+        match error.is_out_of_memory() && self.shrink_caches() {
+            true => Ok(()),
+            false => Err(error),
+        }
+    }
+
+    /// Gives up about half of the memory for nodes, on the device and beside it, for good; `false`
+    /// if there is next to nothing left to give.
+    pub fn shrink_caches(&mut self) -> bool {
+        let gives = self.cache.shrink();
+        self.streaming.shrink();
+        self.plan.invalidate();
+        self.last = None;
+        if gives {
+            let limit_bytes = self.cache.limit_bytes();
+            self.note_problem(format!(
+                "memory ran out: no more than {} MiB of points are held from now on",
+                limit_bytes >> 20
+            ));
+        }
+        gives
     }
 
     /// The steps before drawing: loading, selection, table. Whether there is anything to draw that
@@ -293,6 +340,13 @@ impl Renderer {
 
     pub(super) fn note_time(&mut self, pass: &'static str, pass_ms: f64) {
         self.add_time(PassTime { pass, clock: "cpu", pass_ms });
+    }
+
+    /// What was noted of a step on the CPU so far.
+    pub(super) fn noted_ms(&self, pass: &'static str) -> f64 {
+        let noted =
+            self.stats.passes.iter().filter(|time| (time.pass, time.clock) == (pass, "cpu"));
+        noted.map(|time| time.pass_ms).sum()
     }
 
     fn add_time(&mut self, time: PassTime) {

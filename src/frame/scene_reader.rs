@@ -54,6 +54,12 @@ impl SceneReader {
         self.sources[cloud].fetch_bytes(node, &columns)
     }
 
+    /// Whether reading a node waits for no disk.
+    pub(super) fn is_at_hand(&self, (cloud, node): SceneNode) -> bool {
+        let settled = self.settled.get_or_init(|| self.settle());
+        self.sources[cloud].fetches_from_memory(node, &self.columns(settled, cloud))
+    }
+
     /// Reads and unpacks a node in this call.
     pub(super) fn read(&self, (cloud, node): SceneNode) -> Result<LoadedNode, NodeReadError> {
         let settled = self.settled.get_or_init(|| self.settle());

@@ -23,6 +23,17 @@ pub enum FrameError {
     Gpu(#[from] GpuError),
 }
 
+impl FrameError {
+    /// Whether it is for want of memory on the device.
+    pub fn is_out_of_memory(&self) -> bool {
+        match self {
+            #[cfg(feature = "gpu")]
+            FrameError::Gpu(GpuError::OutOfMemory { .. }) => true,
+            _ => false,
+        }
+    }
+}
+
 /// How points are drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RasterPath {

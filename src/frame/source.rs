@@ -6,6 +6,10 @@ use crate::octree::Octree;
 use crate::points::Schema;
 use crate::store::{FetchedNode, NodeReadError, SectionContent, Store, ValueRange};
 
+/// Most bytes of coarse nodes that a store is opened with, for a first picture without another
+/// read ([`Store::open_with_coarse`]). Small enough to come in the time of a disk's seek or two.
+pub const FIRST_PICTURE_BYTES: u64 = 3 << 20;
+
 /// An octree whose points can be read node by node and column by column, from any thread.
 pub trait NodeSource: Send + Sync {
     /// Its nodes.
@@ -36,6 +40,10 @@ pub trait NodeSource: Send + Sync {
     /// Bytes that [`fetch`](Self::fetch) reads; `None` if it reads nothing.
     fn fetch_bytes(&self, _node: NodeId, _columns: &[SectionContent]) -> Option<u64> {
         None
+    }
+    /// Whether [`fetch`](Self::fetch) finds these columns in memory and waits for no disk.
+    fn fetches_from_memory(&self, _node: NodeId, _columns: &[SectionContent]) -> bool {
+        false
     }
     /// Reads the stored bytes of some columns of a node, to be unpacked elsewhere; `None` if the
     /// columns can only be read whole.
@@ -108,6 +116,9 @@ impl NodeSource for Store {
     }
     fn fetch_bytes(&self, node: NodeId, columns: &[SectionContent]) -> Option<u64> {
         Some(self.fetch_bytes(node, columns))
+    }
+    fn fetches_from_memory(&self, node: NodeId, columns: &[SectionContent]) -> bool {
+        self.fetches_from_memory(node, columns)
     }
     fn fetch(
         &self,

@@ -57,6 +57,14 @@ impl Streaming {
         self.loader = None;
     }
 
+    /// Halves what is held in main memory.
+    pub(super) fn shrink(&mut self) {
+        self.settings.memory_bytes /= 2;
+        if let Some(loader) = &mut self.loader {
+            loader.shrink(self.settings.memory_bytes);
+        }
+    }
+
     /// Tells the loader that the scene, or its colours, are others.
     pub(super) fn set_reader(&mut self, reader: &Arc<SceneReader>) {
         self.ahead_made_for = None;

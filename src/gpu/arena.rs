@@ -114,13 +114,33 @@ impl WordArena {
                 self.shards.push(Shard { buffer, free: FreeRanges::new((size / 4) as u32) });
                 Ok(true)
             }
-            // The device is smaller than the limit: stay with what there is.
-            Err(GpuError::OutOfMemory { .. }) if !self.shards.is_empty() => {
+            // The device is smaller than the limit: a smaller piece, or stay with what there is.
+            Err(GpuError::OutOfMemory { .. }) if size / 2 >= needed_bytes => {
+                self.limit_bytes = self.held_bytes() + size / 2;
+                self.add_shard(gpu, count)
+            }
+            Err(GpuError::OutOfMemory { .. }) => {
                 self.limit_bytes = self.held_bytes();
                 Ok(false)
             }
             Err(error) => Err(error),
         }
+    }
+
+    /// Ranges of which shard go with the last shard, the next to be given up; `None` without any.
+    pub fn last_shard(&self) -> Option<usize> {
+        self.shards.len().checked_sub(1)
+    }
+
+    /// Gives the last shard back to the device, whatever is in it; its ranges must not be used any
+    /// more. From now on no more is taken than what is left, or half of it if that is nothing.
+    pub fn give_up_shard(&mut self) {
+        let Some(shard) = self.shards.pop() else { return };
+        // The device frees it when nothing that was sent uses it any more.
+        self.limit_bytes = match self.held_bytes() {
+            0 => shard.buffer.size() / 2,
+            held => held,
+        };
     }
 }
 

@@ -42,6 +42,11 @@ impl Store {
         self.fetch_ranges(node, columns).iter().map(|&(start, end)| end - start).sum()
     }
 
+    /// Whether [`fetch`](Self::fetch) finds all in memory and reads nothing.
+    pub fn fetches_from_memory(&self, node: NodeId, columns: &[SectionContent]) -> bool {
+        self.fetch_ranges(node, columns).iter().all(|&(start, end)| self.is_in_memory(start, end))
+    }
+
     /// Reads the stored bytes of some columns of a node; columns that the store lacks are left out.
     pub fn fetch(
         &self,

@@ -533,6 +533,12 @@ impl Store {
         })
     }
 
+    /// Whether a range of the file is in memory.
+    pub(super) fn is_in_memory(&self, start: u64, end: u64) -> bool {
+        let (first, coarse) = &self.coarse;
+        start >= *first && end - first <= coarse.len() as u64
+    }
+
     /// Reads from memory what is there, the rest from the file.
     pub(super) fn read_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
         let (first, coarse) = &self.coarse;

@@ -7,7 +7,7 @@
 use std::mem;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use egui::{Color32, Event, Key, MouseWheelUnit, PointerButton, Pos2, Rect, Response, Sense, Ui};
 use glam::{DVec2, DVec3};
@@ -92,6 +92,8 @@ const POINTS_PER_NOTCH: f64 = 50.0;
 const LONGEST_STEP_SECONDS: f64 = 0.25;
 /// Bytes of points loaded per frame: about a twentieth of a second of reading and unpacking.
 const QUOTA_BYTES: u64 = 8 << 20;
+/// Longest time between two looks at whether nodes have come.
+const LONGEST_WAIT: Duration = Duration::from_millis(30);
 /// Most notices kept.
 const MAX_NOTICES: usize = 8;
 /// Most milestones kept.
@@ -449,6 +451,13 @@ impl Viewer {
         match self.renderer.render(&view, &settings) {
             Ok(stats) if stats.unchanged => {
                 self.frames_skipped += 1;
+                self.bytes_read += stats.bytes_read;
+                self.drawn.stream = stats.stream;
+                self.drawn.nodes_requested = stats.nodes_requested;
+                if !stats.complete {
+                    // Nodes under way say when they are there; this is in case none does.
+                    ctx.request_repaint_after(LONGEST_WAIT);
+                }
                 // The GPU's own times come after the frame that they are of.
                 if stats.passes.iter().any(|time| time.clock == "gpu") {
                     self.drawn.passes.retain(|time| time.clock != "gpu");
@@ -469,7 +478,7 @@ impl Viewer {
                     ctx.request_repaint();
                 }
                 for problem in self.drawn.problems.clone() {
-                    self.note(format!("{problem}; coarser points stand in"), true);
+                    self.note(problem, true);
                 }
             }
             Err(FrameError::Gpu(GpuError::Lost { reason })) => {

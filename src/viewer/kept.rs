@@ -8,6 +8,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use crate::frame::FIRST_PICTURE_BYTES;
 use crate::input::{FileKind, detect};
 use crate::store::{Store, is_store};
 
@@ -34,7 +35,7 @@ pub fn made_from(store_path: &Path, scans: &[PathBuf]) -> Option<Store> {
     if !is_store(store_path) {
         return None;
     }
-    let store = Store::open(store_path).ok()?;
+    let store = Store::open_with_coarse(store_path, FIRST_PICTURE_BYTES).ok()?;
     let names: Option<Vec<&str>> = scans.iter().map(|scan| scan.file_name()?.to_str()).collect();
     let mut names = names?;
     names.dedup();

@@ -19,6 +19,7 @@ use serde::Serialize;
 use tempfile::TempDir;
 
 use crate::build::{ConvertOptions, Progress, Sources, Stage, convert_sources};
+use crate::frame::FIRST_PICTURE_BYTES;
 use crate::store::{Store, is_store};
 use crate::viewer::kept::{can_write_beside, is_las, made_from, store_beside};
 use crate::viewer::preview::{FIRST_PREVIEW_POINTS, make_preview, preview_sizes};
@@ -208,7 +209,7 @@ impl Worker {
     fn find(&self, path: &Path) -> anyhow::Result<Found> {
         let opened = |store, kept_in| Found::Open(file(path, store, kept_in, None));
         if is_store(path) {
-            return Ok(opened(Store::open(path)?, KeptIn::Itself));
+            return Ok(opened(Store::open_with_coarse(path, FIRST_PICTURE_BYTES)?, KeptIn::Itself));
         }
         let scans = match self.options.list_folder {
             Some(list) if path.is_dir() => list(path)?,
@@ -314,7 +315,7 @@ impl Worker {
             convert_sources(sources, &output, &options, &progress, &self.shared.cancelled)?;
         report.warnings.into_iter().for_each(|warning| self.tell(Opened::Warning(warning)));
         let kept_in = beside.map_or(KeptIn::Temporary, KeptIn::Made);
-        Ok(file(&job.path, Store::open(&output)?, kept_in, folder))
+        Ok(file(&job.path, Store::open_with_coarse(&output, FIRST_PICTURE_BYTES)?, kept_in, folder))
     }
 }
 

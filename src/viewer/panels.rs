@@ -288,6 +288,12 @@ fn statistic_rows(statistics: &Statistics) -> Vec<(String, String)> {
     if frame.nodes_requested > 0 {
         row("waiting for", format!("{} nodes", grouped(frame.nodes_requested.into())));
     }
+    if let Some(stream) = &frame.stream {
+        let queued = format!("{} reading, {} queued", stream.nodes_in_flight, stream.nodes_queued);
+        row("loader", queued);
+        row("main memory", of(bytes(stream.ram_bytes), bytes(stream.ram_limit_bytes)));
+        row("  found there", of(grouped(stream.ram_hits), grouped(stream.nodes_delivered)));
+    }
     row("out of sight", format!("{} nodes", grouped(frame.nodes_culled.into())));
     row("fine enough", format!("{} nodes", grouped(frame.nodes_fine_enough.into())));
     row("over budget", format!("{} nodes", grouped(frame.nodes_over_budget.into())));

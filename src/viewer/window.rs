@@ -14,6 +14,7 @@ use egui::{ColorImage, ViewportBuilder, ViewportCommand};
 use crate::build;
 use crate::frame::{RasterPath, Renderer};
 use crate::gpu::{Gpu, adapter_preference, wanted_features, wanted_limits};
+use crate::stream::StreamSettings;
 use crate::viewer::app::{Viewer, ViewerOptions};
 use crate::viewer::canvas::Canvas;
 use crate::viewer::opening::Opening;
@@ -27,6 +28,9 @@ pub struct WindowOptions {
     pub path: Option<RasterPath>,
     /// Most bytes of points held; a share of the machine's memory, if not told.
     pub node_limit_bytes: Option<u64>,
+    /// Most bytes of main memory for nodes that wait or may return; by default a quarter of what
+    /// there is.
+    pub cache_bytes: Option<u64>,
     /// Most points drawn, if told.
     pub point_budget: Option<u64>,
     /// Size of the window, points.
@@ -193,7 +197,11 @@ impl Window {
         if let Some(point_budget) = budget {
             options.viewer.frame.cut.point_budget = point_budget;
         }
-        let (renderer, problems) = open_renderer(&gpu, options.path, limit_bytes)?;
+        let (mut renderer, problems) = open_renderer(&gpu, options.path, limit_bytes)?;
+        let memory_bytes = options.cache_bytes.unwrap_or(memory_bytes / 4);
+        renderer.set_streaming(StreamSettings { memory_bytes, ..StreamSettings::default() });
+        let ctx = created.egui_ctx.clone();
+        renderer.set_wake(Arc::new(move || ctx.request_repaint()));
         let mut viewer = Viewer::new(renderer, Canvas::of_window(state), options.viewer);
         problems.into_iter().for_each(|problem| viewer.note(problem, true));
         wake_on_interrupt(created.egui_ctx.clone(), Arc::clone(&interrupted));

@@ -27,6 +27,7 @@ mod plan;
 mod pos_table;
 pub mod procedural;
 mod quantile;
+mod search;
 mod vertex_cache;
 mod view_cell;
 
@@ -39,8 +40,9 @@ pub use least_squares::{Design, FitError, Solution};
 pub use online::{OnlineModel, Rejected};
 pub use order::{DrawState, StateChanges, StateOrder, state_changes};
 pub use pipeline::{Triangle, TwoStagePipeline};
-pub use plan::{Hysteresis, TimePlan, UPLOAD_SHARE, Uploads, fitting_prefix, sure_points};
+pub use plan::{TimePlan, UPLOAD_SHARE, Uploads, fitting_prefix, sure_points};
 pub use pos_table::{Lookup, PosTable, ViewAngles};
 pub use quantile::{SystemNoise, quantile};
+pub use search::{BudgetSearch, MOST_TRIALS};
 pub use vertex_cache::{VertexCache, transformed_vertices};
 pub use view_cell::{CellTable, SphereObject, cell_bound, paper_candidates};

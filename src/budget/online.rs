@@ -114,6 +114,12 @@ impl OnlineModel {
         (self.learned, self.together, self.rejected)
     }
 
+    /// Forgets what was learned of prices apart from what they are now; the guard stays.
+    pub fn start_anew(&mut self) {
+        self.memory.clear();
+        self.drift.clear();
+    }
+
     /// Learns from a frame.
     pub fn observe(&mut self, work: &Workload, time_ms: f64) -> Result<(), Rejected> {
         let expected_ms = self.predict(work);

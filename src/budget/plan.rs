@@ -101,40 +101,10 @@ impl Uploads {
     }
 }
 
-/// Holds a budget still while the proposals for it move a little.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Hysteresis {
-    current: Option<u64>,
-}
-
-/// Relative width of the band within which a budget stays.
-const BAND: f64 = 0.05;
-
-impl Hysteresis {
-    /// The budget for a proposal: never more than it, the present one as long as the proposal is at
-    /// most 5 % above, else the middle of that band.
-    pub fn settle(&mut self, proposed: u64) -> u64 {
-        let stays = |now: &u64| {
-            *now <= proposed && (*now as f64 * (1.0 + BAND) >= proposed as f64 || *now == proposed)
-        };
-        let settled = match self.current.filter(stays) {
-            Some(now) => now,
-            None => (proposed as f64 * (1.0 - 0.5 * BAND)) as u64,
-        };
-        self.current = Some(settled.min(proposed));
-        settled.min(proposed)
-    }
-
-    /// Forgets the present budget.
-    pub fn clear(&mut self) {
-        self.current = None;
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::budget::{Heuristic, OnlineModel};
+    use crate::budget::{BudgetSearch, Heuristic, OnlineModel};
     use crate::sampling::Random;
 
     fn random_model(random: &mut Random) -> CostModel {
@@ -223,35 +193,26 @@ mod tests {
         assert!(uploads.admit(4) && uploads.admit(6) && !uploads.admit(1));
     }
 
-    #[test]
-    fn a_budget_rests_while_proposals_tremble() {
-        let mut held = Hysteresis::default();
-        let first = held.settle(1_000_000);
-        for index in 0..1000 {
-            let proposed = 1_000_000.0 * (1.0 + 0.02 * (2.0 * Random::new(22, index).unit() - 1.0));
-            assert_eq!(held.settle(proposed as u64), first);
-        }
-        assert!(held.settle(500_000) <= 500_000, "less is taken at once");
-        assert!(held.settle(2_000_000) >= 1_900_000, "and much more too");
-        assert_eq!(held.settle(0), 0);
-        assert!(held.settle(u64::MAX) > 1 << 60);
-    }
-
     /// Every second frame is a quarter slower: the budget does not follow each of them.
     #[test]
     fn alternating_frames_do_not_make_the_budget_swing() {
         let truth = CostModel { vertex_ms: 2e-5, ..CostModel::free(Heuristic::Sum) };
         let mut model = OnlineModel::new(truth);
-        let mut held = Hysteresis::default();
         let (mut last, mut changes) = (0, 0);
         for frame in 0..600 {
             let plan = TimePlan {
                 target_ms: 20.0,
                 system_ms: 0.0,
-                reserved_ms: model.bias_ms().max(0.0),
+                reserved_ms: 0.0,
                 guard_share: model.guard_share(),
             };
-            let budget = held.settle(plan.points(model.model(), 0.0, 1.0));
+            let first = if last > 0 { last } else { plan.points(model.model(), 0.0, 1.0) };
+            let mut search = BudgetSearch::new(first, 5_000_000, plan.free_ms());
+            while let Some(budget) = search.next_trial() {
+                let work = Workload::points(1.0, budget as f64, budget as f64);
+                search.note(budget, budget, model.predict(&work), true);
+            }
+            let budget = search.budget();
             changes += u32::from(frame >= 300 && budget != last);
             last = budget;
             let work = Workload::points(1.0, budget as f64, budget as f64);

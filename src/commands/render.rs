@@ -53,6 +53,10 @@ pub struct RenderArgs {
     /// Largest spacing of points on screen, pixels
     #[arg(long, default_value_t = 1.0, value_parser = parse_error_px)]
     error_px: f64,
+    /// Time that a frame may take once its points are loaded, milliseconds: as many points as fit
+    /// are drawn, at most --budget. Measures the machine first, which takes about a second
+    #[arg(long, value_name = "T", value_parser = parse_time_ms)]
+    time_ms: Option<f64>,
     /// Which cell's spacing counts
     #[arg(long, value_enum, default_value = "parent-edge")]
     rule: RuleChoice,
@@ -296,6 +300,7 @@ fn frame_settings(
         FrameSettings { color, background: args.background, ..FrameSettings::default() };
     settings.cut.point_budget = args.budget;
     settings.cut.error_px = args.error_px;
+    settings.target_ms = args.time_ms;
     settings.cut.rule = match args.rule {
         RuleChoice::OwnEdge => LevelRule::FOUR[0],
         RuleChoice::OwnDiagonal => LevelRule::FOUR[1],
@@ -479,6 +484,7 @@ fn write_stats(
         "color": settings.color.to_string(),
         "point_budget": args.budget,
         "error_px": args.error_px,
+        "target_ms": args.time_ms,
         "rule": settings.cut.rule.name(),
         "splat": settings.cut.splat.policy.name(),
         "points": drawing.sources.iter().map(|s| s.octree().point_count()).sum::<u64>(),
@@ -506,6 +512,17 @@ fn parse_in_range(text: &str, low: f64, high: f64) -> Result<f64, String> {
 
 pub(super) fn parse_error_px(text: &str) -> Result<f64, String> {
     parse_in_range(text, 0.01, 1000.0)
+}
+
+/// A time of at least 0 that is a number.
+fn parse_time_ms(text: &str) -> Result<f64, String> {
+    parse_in_range(text, 0.0, 1e6)
+}
+
+/// Frames per second.
+#[cfg(feature = "viewer")]
+pub(super) fn parse_fps(text: &str) -> Result<f64, String> {
+    parse_in_range(text, 1.0, 1000.0)
 }
 
 fn parse_splat_scale(text: &str) -> Result<f64, String> {

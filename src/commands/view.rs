@@ -22,6 +22,9 @@ pub struct ViewArgs {
     /// Largest spacing of points on screen, pixels
     #[arg(long, default_value_t = 1.0, value_parser = crate::commands::render::parse_error_px)]
     error_px: f64,
+    /// Frames per second to keep to: fewer points are drawn where more would take longer
+    #[arg(long, value_name = "N", value_parser = crate::commands::render::parse_fps)]
+    fps: Option<f64>,
     /// What points are coloured by: auto, rgb, elevation, intensity, class, or any attribute
     #[arg(long, default_value = "auto")]
     color: String,
@@ -74,6 +77,7 @@ pub fn run(args: ViewArgs) -> anyhow::Result<ExitCode> {
         Err(never) => match never {},
     };
     frame.cut.error_px = args.error_px;
+    frame.target_ms = args.fps.map(|fps| 1e3 / fps);
     let exit_after = match args.exit_after.map(Duration::try_from_secs_f64) {
         None => None,
         Some(Ok(time)) => Some(time),

@@ -6,6 +6,7 @@ use crate::frame::device::Device;
 #[cfg(feature = "gpu")]
 use crate::frame::node_cache::Storage;
 use crate::frame::node_cache::Words;
+use crate::frame::renderer::milliseconds;
 use crate::frame::{FrameError, FrameSettings, Renderer};
 use crate::geometry::View;
 use crate::ids::NodeId;
@@ -56,6 +57,7 @@ impl Renderer {
         settings: &FrameSettings,
     ) -> Result<(), FrameError> {
         let start = Instant::now();
+        let mut cpu_times = [("points", 0.0); 2];
         let frame = tile.gpu_frame(view, &settings.cut.splat, settings.background);
         match &mut self.device {
             Device::Cpu { pass, picture } => {
@@ -74,10 +76,14 @@ impl Renderer {
                     *picture =
                         Some(Picture::empty(tile.width_px, tile.height_px, settings.background));
                 } else {
+                    let started = Instant::now();
                     pass.draw(&frame, &self.table, &words);
+                    let points_ms = milliseconds(started);
+                    let resolving = Instant::now();
                     let mut drawn = pass.resolve(&frame);
                     finish(&mut drawn, frame.near, &settings.finish);
                     *picture = Some(drawn);
+                    cpu_times = [("points", points_ms), ("resolve", milliseconds(resolving))];
                 }
             }
             #[cfg(feature = "gpu")]
@@ -93,6 +99,9 @@ impl Renderer {
                 let times: Vec<_> = on_gpu.timer.collect().clone();
                 self.note_gpu_times(&times);
             }
+        }
+        for (pass, pass_ms) in cpu_times.into_iter().filter(|(_, ms)| *ms > 0.0) {
+            self.note_time(pass, pass_ms);
         }
         self.note_cpu_time("draw", start);
         Ok(())

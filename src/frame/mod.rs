@@ -5,12 +5,15 @@
 //! [`ColorMode`]. A scene that fits the room for it is read in this call, in parallel, all that is
 //! wanted or up to a quota per frame; a larger one comes through [`stream`](crate::stream).
 
+mod calibration;
+mod calibration_cloud;
 mod color;
 mod device;
 mod drawing;
 mod last_frame;
 mod loading;
 mod node_cache;
+mod pacing;
 mod plan;
 mod reference;
 mod renderer;
@@ -19,8 +22,11 @@ mod settings;
 mod source;
 mod stats;
 mod streaming;
+mod workload;
 
+pub use calibration::Calibration;
 pub use color::{ColorMode, class_color};
+pub use pacing::PacingStats;
 pub use reference::reference_picture;
 pub use renderer::Renderer;
 pub use settings::{FrameError, FrameSettings, Loading, RasterPath};

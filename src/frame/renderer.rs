@@ -8,6 +8,7 @@ use crate::frame::device::Device;
 #[cfg(feature = "gpu")]
 use crate::frame::device::{GpuPass, OnGpu};
 use crate::frame::node_cache::{NodeCache, Storage};
+use crate::frame::pacing::Pacer;
 use crate::frame::plan::Plan;
 use crate::frame::scene_reader::{Former, SceneReader};
 use crate::frame::settings::check_view;
@@ -47,6 +48,10 @@ pub struct Renderer {
     pub(super) table: DrawTable,
     pub(super) last: Option<(View, FrameSettings, bool)>,
     pub(super) stats: FrameStats,
+    /// Budget of the last frame, which a target time may make smaller than the one asked for.
+    drawn_budget: u64,
+    /// Only while frames have a target time.
+    pub(super) pacer: Option<Box<Pacer>>,
 }
 /// Problems that are kept in words.
 const MAX_PROBLEMS: usize = 8;
@@ -97,6 +102,8 @@ impl Renderer {
             table: DrawTable::default(),
             last: None,
             stats: FrameStats::default(),
+            drawn_budget: 0,
+            pacer: None,
         }
     }
 
@@ -202,13 +209,17 @@ impl Renderer {
             }
         };
         self.collect_gpu_times();
+        self.note_checked();
         self.stats.frame_ms = milliseconds(start);
         Ok(picture)
     }
 
     fn try_frame(&mut self, view: &View, settings: &FrameSettings) -> Result<(), FrameError> {
-        if self.prepare(view, settings)? {
+        let paced = self.pace(view, settings, true)?;
+        let drawing = Instant::now();
+        if self.prepare(view, settings, paced.as_ref().unwrap_or(settings))? {
             self.draw(view, Tile::whole(view), settings)?;
+            self.note_paced(drawing)?;
             self.stats.tiles = 1;
         } else {
             self.collect_gpu_times();
@@ -221,7 +232,9 @@ impl Renderer {
         view: &View,
         settings: &FrameSettings,
     ) -> Result<Picture, FrameError> {
-        self.prepare(view, settings)?;
+        let paced = self.pace(view, settings, false)?;
+        let drawing = Instant::now();
+        self.prepare(view, settings, paced.as_ref().unwrap_or(settings))?;
         let tiles = self.tiles(view, settings.finish.reach_px());
         self.stats.tiles = tiles.len() as u32;
         let mut whole = match tiles.len() {
@@ -233,6 +246,9 @@ impl Renderer {
             // What is done to pixels by what is around them needs that too.
             let drawn = settings.finish.widened(tile, view.width_px, view.height_px);
             self.draw(view, drawn, settings)?;
+            if self.stats.tiles == 1 {
+                self.note_paced(drawing)?;
+            }
             let reading = Instant::now();
             let part = self.take_picture()?;
             self.note_cpu_time("read_back", reading);
@@ -272,14 +288,24 @@ impl Renderer {
 
     /// The steps before drawing: loading, selection, table. Whether there is anything to draw that
     /// the last frame does not show.
-    fn prepare(&mut self, view: &View, settings: &FrameSettings) -> Result<bool, FrameError> {
+    ///
+    /// `asked` is what the caller wants; `settings` may have smaller budgets, to keep to a time.
+    pub(super) fn prepare(
+        &mut self,
+        view: &View,
+        asked: &FrameSettings,
+        settings: &FrameSettings,
+    ) -> Result<bool, FrameError> {
         self.stats = FrameStats::default();
         self.cache.begin_frame();
         let changed = self.load(view, settings)?;
-        let is_other = !matches!(&self.last, Some((last_view, last_settings, _))
-            if last_view == view && last_settings == settings);
+        let budget = settings.cut.point_budget;
+        let is_other = std::mem::replace(&mut self.drawn_budget, budget) != budget
+            || !matches!(&self.last, Some((last_view, last_settings, _))
+                if last_view == view && last_settings == asked);
         if changed || is_other {
             let cuts = self.select_loaded(view, settings);
+            self.predict(&cuts, view, settings);
             self.fill_table(&cuts, view, settings);
             self.note_cuts(&cuts);
             cuts.into_iter().for_each(|cut| self.scratch.recycle(cut));

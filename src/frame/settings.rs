@@ -95,6 +95,10 @@ pub struct FrameSettings {
     pub loading: Loading,
     /// What is done to the picture after its points are drawn. Default: nothing.
     pub finish: FinishSettings,
+    /// Time that a frame may take, milliseconds: fewer points are drawn where the budget's would
+    /// take longer. Default: none. The first frame with a target measures the adapter, which takes
+    /// about a second in software.
+    pub target_ms: Option<f64>,
 }
 
 impl Default for FrameSettings {
@@ -105,6 +109,7 @@ impl Default for FrameSettings {
             background: 0xff20_1c1a,
             loading: Loading::All,
             finish: FinishSettings::default(),
+            target_ms: None,
         }
     }
 }

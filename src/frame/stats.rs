@@ -2,6 +2,7 @@
 
 use serde::Serialize;
 
+use crate::frame::PacingStats;
 use crate::stream::StreamStats;
 
 /// Counters and times of one frame. Counters repeat on any machine, times do not.
@@ -60,6 +61,8 @@ pub struct FrameStats {
     /// Time per step, in order. Steps on the GPU are those of the latest frame whose clock was
     /// read, none without timestamps.
     pub passes: Vec<PassTime>,
+    /// How the frame was fitted into its target time; `None` without one.
+    pub pacing: Option<PacingStats>,
     /// The first nodes that could not be read, with the reason.
     pub problems: Vec<String>,
 }

@@ -5,6 +5,7 @@
 //! that may fail runs in [`Gpu::checked`], and a lost device answers [`GpuError::Lost`] from then
 //! on.
 
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::gpu::shader::PixelAtomics;
@@ -68,6 +69,7 @@ pub struct Gpu {
     vertex_storage: bool,
     narrow_compute: bool,
     failure: Failure,
+    waits: AtomicU64,
 }
 
 const COMPUTE_FEATURES: wgpu::Features =
@@ -150,6 +152,7 @@ impl Gpu {
                 wgpu::DownlevelFlags::COMPUTE_SHADERS | wgpu::DownlevelFlags::FRAGMENT_STORAGE,
             ),
             failure,
+            waits: AtomicU64::new(0),
         }
     }
 
@@ -227,8 +230,14 @@ impl Gpu {
         }
     }
 
+    /// How often somebody waited for the GPU so far.
+    pub fn waits(&self) -> u64 {
+        self.waits.load(Ordering::Relaxed)
+    }
+
     /// Waits until all submitted work is done.
     pub fn wait(&self) -> Result<(), GpuError> {
+        self.waits.fetch_add(1, Ordering::Relaxed);
         let waited = self.device.poll(wgpu::PollType::wait_indefinitely());
         self.alive()?;
         waited.map(drop).map_err(|error| GpuError::Lost { reason: error.to_string() })

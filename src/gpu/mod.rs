@@ -27,4 +27,4 @@ pub use growing_buffer::GrowingBuffer;
 #[cfg(feature = "gpu")]
 pub use read_back::{read_buffer, read_texture};
 #[cfg(feature = "gpu")]
-pub use timing::{PassTimer, PassTimes};
+pub use timing::{MeasuredFrame, PassTimer, PassTimes};

@@ -16,6 +16,8 @@ use crate::viewer::statistics::Statistics;
 
 /// Range of the budget slider, points.
 const BUDGETS: std::ops::RangeInclusive<u64> = 10_000..=100_000_000;
+/// Range of the frame rate slider, frames per second.
+const FRAME_RATES: std::ops::RangeInclusive<f64> = 5.0..=144.0;
 /// Range of the error slider, pixels.
 const ERRORS_PX: std::ops::RangeInclusive<f64> = 0.25..=32.0;
 
@@ -114,6 +116,20 @@ pub fn settings(ui: &mut Ui, settings: &mut FrameSettings, colors: &[ColorMode])
                 .custom_formatter(|points, _| short_count(points))
                 .custom_parser(parse_count),
         );
+        ui.end_row();
+
+        ui.label("Frame rate").on_hover_text(
+            "Fewer points are drawn where more would take longer. Measures the machine when it is \
+             switched on, which takes about a second.",
+        );
+        ui.horizontal(|ui| {
+            let mut is_on = settings.target_ms.is_some();
+            let mut fps = 1e3 / settings.target_ms.unwrap_or(1e3 / 30.0);
+            ui.checkbox(&mut is_on, "");
+            let slider = Slider::new(&mut fps, FRAME_RATES).logarithmic(true).fixed_decimals(0);
+            ui.add_enabled(is_on, slider.suffix(" /s"));
+            settings.target_ms = is_on.then(|| 1e3 / fps.clamp(1.0, 1000.0));
+        });
         ui.end_row();
 
         ui.label("Error").on_hover_text(
@@ -280,6 +296,15 @@ fn statistic_rows(statistics: &Statistics) -> Vec<(String, String)> {
         for pass in frame.passes.iter().filter(|pass| pass.clock == clock) {
             row(&format!("  {} ({clock})", pass.pass), milliseconds(pass.pass_ms));
         }
+    }
+    if let Some(pacing) = &frame.pacing {
+        let points = pacing.predicted_ms.map_or("sure to fit".to_owned(), milliseconds);
+        row("points expected", of(points, milliseconds(pacing.free_ms)));
+        let expected = pacing.checked_predicted_ms.zip(pacing.checked_measured_ms);
+        if let Some((expected_ms, measured_ms)) = expected {
+            row("  measured", of(milliseconds(measured_ms), milliseconds(expected_ms)));
+        }
+        row("  for safety", format!("{:.0} %", 100.0 * pacing.guard_share));
     }
     row("draw calls", of(frame.draw_calls.to_string(), format!("{} disp.", frame.dispatches)));
     row("point memory", of(bytes(frame.node_bytes), bytes(statistics.node_limit_bytes)));

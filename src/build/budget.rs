@@ -18,6 +18,8 @@ pub struct Budget {
     pub node_bytes: u64,
     /// Most points of a chunk, if they can be divided.
     pub most_chunk_points: u64,
+    /// Memory of a worker for a node that reaches over several chunks.
+    spanning_bytes: u64,
 }
 
 /// Memory for the program itself and for blocks being read, whatever the cap.
@@ -81,6 +83,7 @@ impl Budget {
                 .min((2 * row).saturating_mul(expected_points) + 2 * open(page_shift)),
             node_bytes,
             most_chunk_points: chunk_points,
+            spanning_bytes: spanning_bytes / workers as u64,
         })
     }
 
@@ -94,6 +97,11 @@ impl Budget {
         let copies = if sources.are_compressed() { 2 } else { 1 };
         let spilled = records.saturating_sub(self.slab_bytes) * copies;
         (records / 8, spilled)
+    }
+
+    /// Most points of a node that is put together in memory: rows, their order, columns and bytes.
+    pub fn most_node_points(&self, stride: usize) -> u64 {
+        self.spanning_bytes / (3 * stride as u64 + 80)
     }
 
     /// Rows of that length on a page, as the power of two.

@@ -10,6 +10,7 @@ use std::collections::HashMap;
 use crate::build::encode::FinishedNode;
 use crate::build::home::{BEYOND, Homes, Waiting};
 use crate::build::node::{NodeBuilder, SortedPoints, TreeRules};
+use crate::build::paged_rows::{PagedRows, marked_stride};
 use crate::build::plan::Chunk;
 use crate::build::progress::Progress;
 use crate::build::rows::RowTable;
@@ -19,17 +20,24 @@ use crate::geometry::MortonKey;
 /// Points of a chunk that belong to a node reaching beyond the chunk, or to one of its dissolved
 /// children.
 #[derive(Debug)]
-pub struct Contribution<K> {
+pub struct Contribution<'p, K> {
     /// Depth of the node.
     pub depth: u32,
     /// Its code at that depth.
     pub code: K,
     /// Points of the chunk that entered the node.
     pub entering: u64,
-    /// Rows of the points.
-    pub rows: Vec<u8>,
-    /// Per point whether a cell of the node takes it.
-    pub kept: Vec<bool>,
+    /// Rows of the points, in Morton order.
+    pub rows: ContributedRows<'p>,
+}
+
+/// Rows, each marked with whether a cell of the node takes it.
+#[derive(Debug)]
+pub enum ContributedRows<'p> {
+    /// A few.
+    Few(Vec<u8>),
+    /// Any number.
+    Paged(PagedRows<'p>),
 }
 
 /// A point taken by a cell that several chunks share: its input index and its depth.
@@ -59,16 +67,16 @@ struct OpenNode {
 }
 
 /// Where a chunk's results go.
-pub struct ChunkSink<'a, K> {
+pub struct ChunkSink<'a, 'p, K> {
     /// Nodes that lie within the chunk.
     pub finished: Vec<FinishedNode>,
     /// Hears of the points of each.
     pub progress: &'a dyn Progress,
     /// Collects what belongs to nodes that do not.
-    pub contributions: Vec<Contribution<K>>,
+    pub contributions: Vec<Contribution<'p, K>>,
 }
 
-impl<'a, K> ChunkSink<'a, K> {
+impl<'a, K> ChunkSink<'a, '_, K> {
     /// Nothing yet.
     pub fn new(progress: &'a dyn Progress) -> Self {
         ChunkSink { finished: Vec::new(), progress, contributions: Vec::new() }
@@ -82,7 +90,7 @@ pub fn build_chunk<K: MortonKey>(
     rows: RowTable,
     taken: &[Taken],
     scratch: &mut ChunkScratch<K>,
-    sink: &mut ChunkSink<K>,
+    sink: &mut ChunkSink<'_, '_, K>,
 ) {
     sort_rows(rows, &mut scratch.items, &mut scratch.sort);
     let homes = Homes { root_bits: rules.root_bits, levels: rules.levels };
@@ -144,7 +152,7 @@ fn sweep<K: MortonKey>(
     chunk: &Chunk<K>,
     rows: RowTable,
     scratch: &mut ChunkScratch<K>,
-    sink: &mut ChunkSink<K>,
+    sink: &mut ChunkSink<'_, '_, K>,
 ) {
     let ChunkScratch { items, homes, open, nodes, .. } = scratch;
     let Some(first) = items.first() else { return };
@@ -171,16 +179,16 @@ fn sweep<K: MortonKey>(
     sweep.close(0, key);
 }
 
-struct Sweep<'a, 's, K> {
+struct Sweep<'a, 's, 'p, K> {
     rules: &'a TreeRules<'a>,
     chunk: &'a Chunk<K>,
     points: SortedPoints<'a, K>,
     open: &'a mut [OpenNode],
     nodes: &'a mut NodeBuilder<K>,
-    sink: &'a mut ChunkSink<'s, K>,
+    sink: &'a mut ChunkSink<'s, 'p, K>,
 }
 
-impl<K: MortonKey> Sweep<'_, '_, K> {
+impl<K: MortonKey> Sweep<'_, '_, '_, K> {
     /// Closes the open nodes deeper than `shared`, deepest first; `key` is of a point in them.
     fn close_below(&mut self, shared: u32, deepest: u32, key: K) {
         (shared + 1..=deepest).rev().for_each(|depth| self.close(depth, key));
@@ -215,11 +223,13 @@ impl<K: MortonKey> Sweep<'_, '_, K> {
     }
 
     fn contribute(&mut self, depth: u32, key: K, entering: u64, members: &[u32]) {
-        let stride = self.points.rows.layout().stride();
-        let mut rows = Vec::with_capacity(members.len() * stride);
-        members.iter().for_each(|&place| rows.extend_from_slice(self.points.row(place)));
-        let kept = members.iter().map(|&place| self.points.is_kept(place, depth)).collect();
+        let mut rows = Vec::with_capacity(members.len() * marked_stride(self.points.rows.layout()));
+        for &place in members {
+            rows.extend_from_slice(self.points.row(place));
+            rows.push(u8::from(self.points.is_kept(place, depth)));
+        }
         let code = key.ancestor(self.rules.root_bits - depth);
-        self.sink.contributions.push(Contribution { depth, code, entering, rows, kept });
+        let rows = ContributedRows::Few(rows);
+        self.sink.contributions.push(Contribution { depth, code, entering, rows });
     }
 }

@@ -3,13 +3,13 @@
 use glam::UVec3;
 
 use crate::build::node::SortedPoints;
-use crate::build::rows::{color_offset, copy_short, read_color};
+use crate::build::rows::{RowLayout, color_offset, copy_short, read_color};
 use crate::geometry::MortonKey;
 use crate::octree::LevelIndex;
 use crate::points::{Attribute, COORDINATE_BYTES, Scalar, Schema, names};
 use crate::store::{
-    CodecScratch, EncodedNode, NARROW_BITS, NodeRow, Section, SectionContent, ValueRange,
-    encode_section, position_shape,
+    CodecScratch, ElementShape, EncodedNode, NARROW_BITS, NodeRow, Section, SectionContent,
+    ValueRange, encode_section, position_shape,
 };
 
 /// What encoding needs to know of the store.
@@ -111,25 +111,102 @@ impl Encoder {
     }
 }
 
+/// Columns of rows that come block by block.
+pub struct BlockEncoder<'a> {
+    encoding: &'a Encoding<'a>,
+    layout: RowLayout,
+    local_bits: u32,
+    records: Vec<u8>,
+    color: Vec<u8>,
+}
+
+impl<'a> BlockEncoder<'a> {
+    /// For rows of a node with so many bits of local coordinates.
+    pub fn new(encoding: &'a Encoding<'a>, layout: RowLayout, local_bits: u32) -> Self {
+        BlockEncoder { encoding, layout, local_bits, records: Vec::new(), color: Vec::new() }
+    }
+
+    /// The shape of each section.
+    pub fn shapes(&self) -> Vec<ElementShape> {
+        let shape = |section: &Section| match section.content {
+            SectionContent::Positions => position_shape(self.local_bits),
+            _ => section.shape,
+        };
+        self.encoding.sections.iter().map(shape).collect()
+    }
+
+    /// Replaces `column` by the elements of a section; returns the value ranges that it tells.
+    pub fn block<K: MortonKey>(
+        &mut self,
+        section: usize,
+        rows: &[u8],
+        column: &mut Vec<u8>,
+    ) -> Vec<Vec<ValueRange>> {
+        let stride = self.layout.attribute_bytes();
+        let attributes = &self.encoding.schema.attributes;
+        let mut ranges: Vec<Vec<ValueRange>> = attributes
+            .iter()
+            .map(|attribute| vec![EMPTY_RANGE; usize::from(attribute.components)])
+            .collect();
+        self.records.clear();
+        for row in rows.chunks_exact(self.layout.stride()) {
+            self.records.extend_from_slice(self.layout.attributes(row));
+        }
+        match self.encoding.sections[section].content {
+            SectionContent::Attribute(i) => {
+                let attribute = &attributes[i as usize];
+                take_column(&self.records, stride, attribute, column);
+                ranges[i as usize] = value_ranges(attribute, column);
+            }
+            SectionContent::Positions => {
+                let keys = rows
+                    .chunks_exact(self.layout.stride())
+                    .map(|row| K::read(row).local(self.local_bits));
+                push_local(keys, self.local_bits, column);
+            }
+            SectionContent::Color => {
+                push_colors(&self.records, stride, self.encoding, column);
+                if let Some((i, rgb)) = self.encoding.schema.find(names::RGB) {
+                    take_column(&self.records, stride, rgb, &mut self.color);
+                    ranges[i] = value_ranges(rgb, &self.color);
+                }
+            }
+            SectionContent::ColorLow => {
+                push_low_colors(&self.records, stride, self.encoding, column)
+            }
+        }
+        ranges
+    }
+}
+
 fn push_positions<K: MortonKey>(
     points: &SortedPoints<K>,
     ordered: &[u32],
     local_bits: u32,
     column: &mut Vec<u8>,
 ) -> [UVec3; 2] {
-    column.clear();
     let keys = ordered.iter().map(|&place| points.items[place as usize].key.local(local_bits));
+    push_local(keys.clone(), local_bits, column);
+    K::bounds(keys).map(UVec3::from)
+}
+
+/// Replaces `column` by local codes as they are stored.
+fn push_local<K: MortonKey>(
+    keys: impl ExactSizeIterator<Item = K>,
+    local_bits: u32,
+    column: &mut Vec<u8>,
+) {
+    column.clear();
     if local_bits <= NARROW_BITS {
-        column.resize(8 * ordered.len(), 0);
-        for (bytes, local) in column.chunks_exact_mut(8).zip(keys.clone()) {
+        column.resize(8 * keys.len(), 0);
+        for (bytes, local) in column.chunks_exact_mut(8).zip(keys) {
             bytes.copy_from_slice(&local.low_u64().to_le_bytes());
         }
     } else {
-        for local in keys.clone() {
+        for local in keys {
             local.decode().iter().for_each(|c| column.extend_from_slice(&c.to_le_bytes()));
         }
     }
-    K::bounds(keys).map(UVec3::from)
 }
 
 fn record_colors<'a>(

@@ -70,9 +70,11 @@ impl<'a, K: MortonKey> SortedPoints<'a, K> {
 
 /// What choosing a representative looks at.
 #[derive(Clone, Copy, Debug, Default)]
-struct Candidate {
-    color: [u16; 3],
-    index: u64,
+pub struct Candidate {
+    /// Colour of the point.
+    pub color: [u16; 3],
+    /// Its place in the input.
+    pub index: u64,
 }
 
 /// Turns points into nodes; its memory is used again.
@@ -168,8 +170,14 @@ impl<K: MortonKey> NodeBuilder<K> {
                         let index = |i: u32| self.candidates[i as usize].index;
                         if index(a) < index(b) { a } else { b }
                     }
-                    _ if centers => nearest_to_center(group, &chosen, shift, &self.candidates),
-                    _ => choose(group, &self.candidates, rules.representative, layout.has_color()),
+                    _ => pick(
+                        group,
+                        &self.candidates,
+                        &chosen,
+                        shift,
+                        rules.representative,
+                        layout.has_color(),
+                    ),
                 };
                 self.candidate_levels[winner as usize] = level as u8;
                 self.standing[end] = winner;
@@ -186,6 +194,22 @@ impl<K: MortonKey> NodeBuilder<K> {
             true => *next.next().expect("every kept point has a level"),
             false => rules.levels as u8,
         }));
+    }
+}
+
+/// The member of a group that stands for all of it. `keys` are the codes of the candidates, and
+/// the cell is that of the lowest `3 shift` bits.
+pub fn pick<K: MortonKey>(
+    group: &[u32],
+    candidates: &[Candidate],
+    keys: &[K],
+    shift: u32,
+    representative: Representative,
+    has_color: bool,
+) -> u32 {
+    match representative {
+        Representative::Center => nearest_to_center(group, keys, shift, candidates),
+        _ => choose(group, candidates, representative, has_color),
     }
 }
 

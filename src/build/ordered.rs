@@ -12,8 +12,41 @@ use std::time::Duration;
 
 use crate::build::BuildError;
 use crate::build::encode::{FinishedNode, join_ranges};
+use crate::build::large::LargeNode;
+use crate::build::node::TreeRules;
+use crate::build::pages::PageStore;
 use crate::geometry::MortonKey;
 use crate::store::{NodeRow, StoreWriter, ValueRange};
+
+/// A node whose turn will come.
+pub enum DoneNode<'p> {
+    /// Encoded.
+    Finished(FinishedNode),
+    /// To be encoded into the file.
+    Large(LargeNode<'p>),
+}
+
+impl DoneNode<'_> {
+    fn row(&self) -> &NodeRow {
+        match self {
+            DoneNode::Finished(finished) => &finished.node.row,
+            DoneNode::Large(large) => &large.row,
+        }
+    }
+
+    /// Points of the node.
+    pub fn points(&self) -> u64 {
+        u64::from(self.row().levels.point_count())
+    }
+
+    /// Bytes that wait in memory.
+    fn bytes(&self) -> u64 {
+        match self {
+            DoneNode::Finished(finished) => finished.node.bytes.len() as u64,
+            DoneNode::Large(_) => 0,
+        }
+    }
+}
 
 /// What building leaves for writing.
 pub struct Built<'a> {
@@ -31,57 +64,74 @@ impl<'a> Built<'a> {
         Built { writer, ranges: Vec::new(), overflow_points: 0 }
     }
 
-    fn add(&mut self, finished: FinishedNode) -> Result<(), BuildError> {
-        join_ranges(&mut self.ranges, &finished.ranges);
-        self.overflow_points += finished.overflow_points;
-        Ok(self.writer.add(finished.node)?)
+    fn add<'p, K: MortonKey>(
+        &mut self,
+        node: DoneNode<'p>,
+        rules: &TreeRules,
+        pages: &PageStore<'p>,
+    ) -> Result<(), BuildError> {
+        match node {
+            DoneNode::Finished(finished) => {
+                join_ranges(&mut self.ranges, &finished.ranges);
+                self.overflow_points += finished.overflow_points;
+                Ok(self.writer.add(finished.node)?)
+            }
+            DoneNode::Large(large) => {
+                self.overflow_points += large.overflow_points;
+                let ranges = large.write::<K>(rules, pages, &mut self.writer)?;
+                join_ranges(&mut self.ranges, &ranges);
+                Ok(())
+            }
+        }
     }
 }
 
 /// Nodes of chunks on their way to the writer.
-pub struct OrderedNodes<'a> {
-    root_bits: u32,
+pub struct OrderedNodes<'a, 'w, 'p> {
+    rules: &'a TreeRules<'a>,
+    pages: &'a PageStore<'p>,
     most_waiting_bytes: u64,
     cancelled: &'a AtomicBool,
-    inner: Mutex<Inner<'a>>,
+    inner: Mutex<Inner<'w, 'p>>,
     written: Condvar,
 }
 
-struct Inner<'a> {
+struct Inner<'a, 'p> {
     built: Built<'a>,
     /// The chunk whose nodes are written next.
     next: usize,
-    waiting: BTreeMap<usize, Batch>,
+    waiting: BTreeMap<usize, Batch<'p>>,
     waiting_bytes: u64,
     has_failed: bool,
 }
 
 /// What is there of a chunk: its own nodes and the spanning ones that end with it come apart.
 #[derive(Default)]
-struct Batch {
+struct Batch<'p> {
     parts: u32,
-    nodes: Vec<FinishedNode>,
+    nodes: Vec<DoneNode<'p>>,
 }
 
 const PARTS: u32 = 2;
 
-impl<'a> OrderedNodes<'a> {
+impl<'a, 'w, 'p> OrderedNodes<'a, 'w, 'p> {
     /// Writes from the chunk `next` on. Chunks that are done before their turn wait in at most so
     /// many bytes, and those being worked on.
     pub fn new(
-        built: Built<'a>,
+        built: Built<'w>,
         next: usize,
-        root_bits: u32,
+        rules: &'a TreeRules<'a>,
+        pages: &'a PageStore<'p>,
         most_waiting_bytes: u64,
         cancelled: &'a AtomicBool,
     ) -> Self {
         let (waiting, waiting_bytes) = (BTreeMap::new(), 0);
         let inner = Inner { built, next, waiting, waiting_bytes, has_failed: false };
         let (inner, written) = (Mutex::new(inner), Condvar::new());
-        OrderedNodes { root_bits, most_waiting_bytes, cancelled, inner, written }
+        OrderedNodes { rules, pages, most_waiting_bytes, cancelled, inner, written }
     }
 
-    fn inner(&self) -> MutexGuard<'_, Inner<'a>> {
+    fn inner(&self) -> MutexGuard<'_, Inner<'w, 'p>> {
         self.inner.lock().expect("no holder of the lock panics")
     }
 
@@ -101,13 +151,17 @@ impl<'a> OrderedNodes<'a> {
     }
 
     /// Takes one of the two parts of a chunk's nodes; writes what is due.
-    pub fn add(&self, chunk: usize, nodes: Vec<FinishedNode>) -> Result<(), BuildError> {
+    pub fn add<K: MortonKey>(
+        &self,
+        chunk: usize,
+        nodes: Vec<DoneNode<'p>>,
+    ) -> Result<(), BuildError> {
         let mut inner = self.inner();
         inner.waiting_bytes += bytes_of(&nodes);
         let batch = inner.waiting.entry(chunk).or_default();
         batch.parts += 1;
         batch.nodes.extend(nodes);
-        let outcome = inner.write_due(self.root_bits);
+        let outcome = inner.write_due::<K>(self.rules, self.pages);
         inner.has_failed |= outcome.is_err();
         self.written.notify_all();
         outcome
@@ -120,37 +174,41 @@ impl<'a> OrderedNodes<'a> {
     }
 
     /// What has been built so far; no chunk may be waiting.
-    pub fn built(&mut self) -> &mut Built<'a> {
+    pub fn built(&mut self) -> &mut Built<'w> {
         let inner = self.inner.get_mut().expect("no holder of the lock panics");
         assert!(inner.waiting.is_empty(), "all chunks that were begun are done");
         &mut inner.built
     }
 
     /// What has been built.
-    pub fn into_built(mut self) -> Built<'a> {
+    pub fn into_built(mut self) -> Built<'w> {
         self.built();
         self.inner.into_inner().expect("no holder of the lock panics").built
     }
 }
 
-impl Inner<'_> {
-    fn write_due(&mut self, root_bits: u32) -> Result<(), BuildError> {
+impl<'p> Inner<'_, 'p> {
+    fn write_due<K: MortonKey>(
+        &mut self,
+        rules: &TreeRules,
+        pages: &PageStore<'p>,
+    ) -> Result<(), BuildError> {
         while let Some(batch) = self.waiting.get_mut(&self.next)
             && batch.parts == PARTS
         {
             let mut nodes = std::mem::take(&mut batch.nodes);
             self.waiting.remove(&self.next);
             self.waiting_bytes -= bytes_of(&nodes);
-            nodes.sort_by_key(|finished| place(&finished.node.row, root_bits));
-            nodes.into_iter().try_for_each(|node| self.built.add(node))?;
+            nodes.sort_by_key(|node| place(node.row(), rules.root_bits));
+            nodes.into_iter().try_for_each(|node| self.built.add::<K>(node, rules, pages))?;
             self.next += 1;
         }
         Ok(())
     }
 }
 
-fn bytes_of(nodes: &[FinishedNode]) -> u64 {
-    nodes.iter().map(|finished| finished.node.bytes.len() as u64).sum()
+fn bytes_of(nodes: &[DoneNode]) -> u64 {
+    nodes.iter().map(DoneNode::bytes).sum()
 }
 
 /// When a sweep is done with a node: the first code behind its cell, deeper nodes first.

@@ -245,6 +245,23 @@ impl<'a> PageStore<'a> {
         }
     }
 
+    /// Shows the rows of a page, which stays where it is.
+    pub fn look<R>(
+        &self,
+        page: &Page<'a>,
+        look: impl FnOnce(&[u8]) -> Result<R, BuildError>,
+    ) -> Result<R, BuildError> {
+        match page {
+            Page::Memory(rows) => look(rows),
+            Page::Disk { offset, bytes } => {
+                let rows = self.load(Page::Disk { offset: *offset, bytes: *bytes })?;
+                let outcome = look(&rows);
+                self.give_back(rows);
+                outcome
+            }
+        }
+    }
+
     /// Takes a buffer back to use it again.
     pub fn give_back(&self, mut buffer: PageBuffer<'a>) {
         if matches!(buffer.room, Room::Slab(_)) {

@@ -5,10 +5,12 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use crate::build::BuildError;
-use crate::build::chunk::Contribution;
-use crate::build::encode::FinishedNode;
+use crate::build::chunk::{ContributedRows, Contribution};
 use crate::build::home::BEYOND;
+use crate::build::large::{LargeNode, SortedRows};
 use crate::build::node::{NodeBuilder, SortedPoints, TreeRules};
+use crate::build::ordered::DoneNode;
+use crate::build::paged_rows::{PagedRows, marked_stride};
 use crate::build::pages::{DiskPlace, PageStore};
 use crate::build::rows::{RowLayout, RowTable};
 use crate::build::sort::{Item, SortScratch, sort_rows};
@@ -16,10 +18,12 @@ use crate::geometry::MortonKey;
 
 /// A node whose chunks are not all done.
 #[derive(Default)]
-struct Pending {
+struct Pending<'p> {
     entering: u64,
-    rows: Vec<u8>,
-    kept: Vec<bool>,
+    /// In Morton order, because chunks come in it.
+    rows: PagedRows<'p>,
+    /// Marked rows of dissolved children: fewer than make a child, of each.
+    between: Vec<u8>,
 }
 
 /// A node in waiting, as it can be noted down: depth, code, points that entered, and where its rows
@@ -29,33 +33,35 @@ pub struct PendingState {
     depth: u32,
     code: [u64; 2],
     entering: u64,
-    rows: Vec<DiskPlace>,
-    kept: Vec<DiskPlace>,
+    rows: (Vec<DiskPlace>, u64),
+    between: Vec<DiskPlace>,
 }
 
 /// A node whose points are all known.
-pub struct ReadyNode {
+pub struct ReadyNode<'p> {
     depth: u32,
-    rows: Vec<u8>,
-    kept: Vec<bool>,
+    rows: PagedRows<'p>,
+    between: Vec<u8>,
 }
 
 /// All nodes that reach over several chunks. Chunks come in in any order and count in theirs.
-pub struct Spanning<K> {
+pub struct Spanning<'p, K> {
     root_bits: u32,
+    layout: RowLayout,
     threshold: u64,
     /// First code after each chunk.
     ends: Vec<Option<K>>,
     next: usize,
-    early: BTreeMap<usize, Vec<Contribution<K>>>,
-    pending: BTreeMap<(u32, K), Pending>,
+    early: BTreeMap<usize, Vec<Contribution<'p, K>>>,
+    pending: BTreeMap<(u32, K), Pending<'p>>,
 }
 
-impl<K: MortonKey> Spanning<K> {
+impl<'p, K: MortonKey> Spanning<'p, K> {
     /// Waits for chunks with these ends.
-    pub fn new(rules: &TreeRules, ends: Vec<Option<K>>) -> Self {
+    pub fn new(rules: &TreeRules, layout: RowLayout, ends: Vec<Option<K>>) -> Self {
         Spanning {
             root_bits: rules.root_bits,
+            layout,
             threshold: rules.threshold as u64,
             ends,
             next: 0,
@@ -66,17 +72,16 @@ impl<K: MortonKey> Spanning<K> {
 
     /// Brings all nodes in waiting to disk and tells where they are. All chunks up to the last one
     /// added must have been added.
-    pub fn state(&self, pages: &PageStore) -> Result<Vec<PendingState>, BuildError> {
+    pub fn state(&mut self, pages: &PageStore<'p>) -> Result<Vec<PendingState>, BuildError> {
         assert!(self.early.is_empty(), "no chunk is missing");
-        let states = self.pending.iter().map(|(&(depth, code), node)| {
-            let kept: Vec<u8> = node.kept.iter().map(|&kept| u8::from(kept)).collect();
+        let states = self.pending.iter_mut().map(|(&(depth, code), node)| {
             let wide = code.widen();
             Ok(PendingState {
                 depth,
                 code: [wide as u64, (wide >> 64) as u64],
                 entering: node.entering,
-                rows: pages.write_pieces(&node.rows)?,
-                kept: pages.write_pieces(&kept)?,
+                rows: node.rows.state(pages)?,
+                between: pages.write_pieces(&node.between)?,
             })
         });
         states.collect()
@@ -92,9 +97,9 @@ impl<K: MortonKey> Spanning<K> {
         self.next = done;
         for state in states {
             let code = K::narrow(u128::from(state.code[0]) | u128::from(state.code[1]) << 64);
-            let kept = pages.read_pieces(state.kept)?.into_iter().map(|mark| mark == 1).collect();
-            let node =
-                Pending { entering: state.entering, rows: pages.read_pieces(state.rows)?, kept };
+            let rows = PagedRows::resume(state.rows);
+            let between = pages.read_pieces(state.between)?;
+            let node = Pending { entering: state.entering, rows, between };
             self.pending.insert((state.depth, code), node);
         }
         Ok(())
@@ -105,31 +110,37 @@ impl<K: MortonKey> Spanning<K> {
     pub fn add(
         &mut self,
         chunk: usize,
-        contributions: Vec<Contribution<K>>,
-    ) -> Vec<(usize, Vec<ReadyNode>)> {
+        contributions: Vec<Contribution<'p, K>>,
+        pages: &PageStore<'p>,
+    ) -> Result<Vec<(usize, Vec<ReadyNode<'p>>)>, BuildError> {
+        let stride = marked_stride(self.layout);
         self.early.insert(chunk, contributions);
         let mut all = Vec::new();
         while let Some(contributions) = self.early.remove(&self.next) {
             for part in contributions {
                 let pending = self.pending.entry((part.depth, part.code)).or_default();
                 pending.entering += part.entering;
-                if pending.rows.is_empty() {
-                    (pending.rows, pending.kept) = (part.rows, part.kept);
-                } else {
-                    pending.rows.extend_from_slice(&part.rows);
-                    pending.kept.extend_from_slice(&part.kept);
+                match part.rows {
+                    ContributedRows::Few(rows) => pending.rows.push_marked(pages, &rows, stride)?,
+                    ContributedRows::Paged(rows) => pending.rows.append(pages, rows)?,
                 }
             }
             let mut ready = Vec::new();
-            self.close_before(self.ends[self.next], &mut ready);
+            self.close_before(self.ends[self.next], pages, &mut ready)?;
             all.push((self.next, ready));
             self.next += 1;
         }
-        all
+        Ok(all)
     }
 
     /// Closes all nodes that do not reach beyond a code, deepest first.
-    fn close_before(&mut self, end: Option<K>, ready: &mut Vec<ReadyNode>) {
+    fn close_before(
+        &mut self,
+        end: Option<K>,
+        pages: &PageStore<'p>,
+        ready: &mut Vec<ReadyNode<'p>>,
+    ) -> Result<(), BuildError> {
+        let stride = marked_stride(self.layout);
         let reaches_beyond = |depth: u32, code: K| {
             let levels = self.root_bits - depth;
             end.is_some_and(|end| end.ancestor(levels) == code && end.local(levels) != K::default())
@@ -137,40 +148,72 @@ impl<K: MortonKey> Spanning<K> {
         let closing: Vec<(u32, K)> =
             self.pending.keys().copied().filter(|&(d, code)| !reaches_beyond(d, code)).collect();
         for (depth, code) in closing.into_iter().rev() {
-            let node = self.pending.remove(&(depth, code)).expect("it was listed");
+            let mut node = self.pending.remove(&(depth, code)).expect("it was listed");
             if depth == 0 || node.entering >= self.threshold {
-                ready.push(ReadyNode { depth, rows: node.rows, kept: node.kept });
+                ready.push(ReadyNode { depth, rows: node.rows, between: node.between });
                 continue;
             }
             // Too few entered: they stay in the parent, beyond one per finest cell.
             let parent = self.pending.entry((depth - 1, code.ancestor(1))).or_default();
-            parent.rows.extend_from_slice(&node.rows);
-            parent.kept.resize(parent.kept.len() + node.kept.len(), false);
+            let start = parent.between.len();
+            parent.between.append(&mut node.between);
+            node.rows.visit(pages, &mut |rows| {
+                parent.between.extend_from_slice(rows);
+                Ok(())
+            })?;
+            node.rows.discard(pages)?;
+            parent.between[start..].chunks_exact_mut(stride).for_each(|row| row[stride - 1] = 0);
         }
+        Ok(())
     }
 }
 
-impl ReadyNode {
-    /// Orders, levels and encodes the node.
+impl<'p> ReadyNode<'p> {
+    /// Orders, levels and, unless it has more points than `most_points`, encodes the node.
     pub fn finish<K: MortonKey>(
-        self,
+        mut self,
         rules: &TreeRules,
         layout: RowLayout,
+        pages: &PageStore<'p>,
+        most_points: u64,
         builder: &mut NodeBuilder<K>,
-    ) -> FinishedNode {
+    ) -> Result<DoneNode<'p>, BuildError> {
+        let marked = marked_stride(layout);
+        let points = self.rows.len() + (self.between.len() / marked) as u64;
+        if points > most_points {
+            let order = |row: &&[u8]| (K::read(row), layout.index(row));
+            let mut between: Vec<&[u8]> = self.between.chunks_exact(marked).collect();
+            between.sort_by_key(order);
+            let rows = SortedRows { main: self.rows, between: between.concat() };
+            return Ok(DoneNode::Large(LargeNode::new::<K>(
+                rules, self.depth, rows, layout, pages,
+            )?));
+        }
         const PAGE_SHIFT: u32 = 16;
         let stride = layout.stride();
-        let pages: Vec<&[u8]> = self.rows.chunks(stride << PAGE_SHIFT).collect();
+        let mut rows = Vec::with_capacity(points as usize * stride);
+        let mut kept = Vec::with_capacity(points as usize);
+        let mut take = |marked_rows: &[u8]| {
+            for row in marked_rows.chunks_exact(marked) {
+                rows.extend_from_slice(&row[..stride]);
+                kept.push(row[stride] == 1);
+            }
+            Ok(())
+        };
+        self.rows.visit(pages, &mut take)?;
+        take(&self.between)?;
+        self.rows.discard(pages)?;
+        let pages: Vec<&[u8]> = rows.chunks(stride << PAGE_SHIFT).collect();
         let rows = RowTable::new(&pages, PAGE_SHIFT, layout);
         let mut items: Vec<Item<K>> = Vec::new();
         sort_rows(rows, &mut items, &mut SortScratch::default());
-        let home = |item: &Item<K>| match self.kept[item.slot as usize] {
+        let home = |item: &Item<K>| match kept[item.slot as usize] {
             true => self.depth as u8,
             false => self.depth as u8 | BEYOND,
         };
         let homes: Vec<u8> = items.iter().map(home).collect();
         let members: Vec<u32> = (0..items.len() as u32).collect();
         let points = SortedPoints { items: &items, homes: &homes, rows };
-        builder.finish(rules, self.depth, &points, &members)
+        Ok(DoneNode::Finished(builder.finish(rules, self.depth, &points, &members)))
     }
 }

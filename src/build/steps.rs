@@ -10,10 +10,10 @@ use crate::build::BuildError;
 use crate::build::budget::Budget;
 use crate::build::checkpoint::{Checkpoints, State, Step, chunk_states, held_state, resume_chunks};
 use crate::build::chunk::{ChunkScratch, ChunkSink, build_chunk};
-use crate::build::encode::FinishedNode;
+use crate::build::dense_chunk::build_dense_chunk;
 use crate::build::in_order::run_in_order;
-use crate::build::node::TreeRules;
-use crate::build::ordered::{Built, OrderedNodes};
+use crate::build::node::{NodeBuilder, TreeRules};
+use crate::build::ordered::{Built, DoneNode, OrderedNodes};
 use crate::build::pages::{Page, PageStore};
 use crate::build::partition::{
     ChunkRows, ChunkRowsState, OpenPages, Partition, PartitionShape, split, taken_by_shared_cells,
@@ -124,7 +124,7 @@ impl<'a, 'p> Steps<'a, 'p> {
                 ranges,
                 overflow_points,
             }) => {
-                let mut spanning = self.spanning::<K>(rules, &resume_chunks(&chunks));
+                let mut spanning = self.spanning::<K>(rules, layout, &resume_chunks(&chunks));
                 spanning.resume(done, pending, self.pages)?;
                 let coarse = coarse.into_iter().map(|places| self.pages.read_pieces(places));
                 let coarse = coarse.collect::<Result<_, _>>()?;
@@ -150,13 +150,18 @@ impl<'a, 'p> Steps<'a, 'p> {
         };
         let chunks = self.split_large(chunks, points, shape)?;
         clock.begin(Stage::Build, points);
-        let spanning = self.spanning(rules, &chunks.chunks);
+        let spanning = self.spanning(rules, layout, &chunks.chunks);
         let writer = StoreWriter::create(self.output, self.before_write)?;
         self.build_chunks(chunks, 0, spanning, Built::new(writer), surveyed, rules, shape)
     }
 
-    fn spanning<K: MortonKey>(&self, rules: &TreeRules, chunks: &[Chunk<K>]) -> Spanning<K> {
-        Spanning::new(rules, chunks.iter().map(|chunk| chunk.end).collect())
+    fn spanning<K: MortonKey>(
+        &self,
+        rules: &TreeRules,
+        layout: RowLayout,
+        chunks: &[Chunk<K>],
+    ) -> Spanning<'p, K> {
+        Spanning::new(rules, layout, chunks.iter().map(|chunk| chunk.end).collect())
     }
 
     fn plan<K: MortonKey>(&self, survey: &mut Survey, rules: &TreeRules) -> Plan<K> {
@@ -286,7 +291,7 @@ impl<'a, 'p> Steps<'a, 'p> {
         &mut self,
         chunks: Chunks<'p, K>,
         mut next: usize,
-        spanning: Spanning<K>,
+        spanning: Spanning<'p, K>,
         built: Built<'a>,
         surveyed: &Surveyed<'p>,
         rules: &TreeRules,
@@ -297,14 +302,50 @@ impl<'a, 'p> Steps<'a, 'p> {
         let mut rows: Vec<Mutex<ChunkRows>> = rows.into_iter().map(Mutex::new).collect();
         let mut spanning = Mutex::new(spanning);
         let limit = self.budget.node_bytes;
-        let mut ordered = OrderedNodes::new(built, next, rules.root_bits, limit, self.cancelled);
+        let mut ordered = OrderedNodes::new(built, next, rules, self.pages, limit, self.cancelled);
+        let most_points = self.budget.most_node_points(shape.layout.stride());
         let mut scratches: Vec<ChunkScratch<K>> = Vec::new();
         scratches.resize_with(self.budget.workers, ChunkScratch::default);
         while next < chunks.len() {
             let build = |scratch: &mut ChunkScratch<K>, i: usize| -> Result<(), BuildError> {
                 ordered.wait_for_room(i)?;
-                let stored =
-                    std::mem::take(&mut rows[i].lock().expect("each is locked once").pages);
+                let (points, stored) = {
+                    let mut rows = rows[i].lock().expect("each is locked once");
+                    (rows.points, std::mem::take(&mut rows.pages))
+                };
+                let add = |contributions| {
+                    let mut spanning = spanning.lock().expect("no holder of the lock panics");
+                    spanning.add(i, contributions, self.pages)
+                };
+                let finish_spanning = |ready: Vec<(usize, Vec<ReadyNode<'p>>)>,
+                                       builder: &mut NodeBuilder<K>|
+                 -> Result<(), BuildError> {
+                    for (chunk, nodes) in ready {
+                        let finish = |node: ReadyNode<'p>| {
+                            let done =
+                                node.finish(rules, shape.layout, self.pages, most_points, builder)?;
+                            self.progress.advance(done.points());
+                            Ok(done)
+                        };
+                        let nodes = nodes.into_iter().map(finish);
+                        ordered.add::<K>(chunk, nodes.collect::<Result<_, BuildError>>()?)?;
+                    }
+                    Ok(())
+                };
+                let is_dense = chunks[i].level == rules.root_bits;
+                if is_dense && points > self.budget.most_chunk_points {
+                    let run_rows = self.budget.most_chunk_points as usize;
+                    let contributions = build_dense_chunk(
+                        rules,
+                        stored,
+                        run_rows,
+                        &taken[i],
+                        shape.layout,
+                        self.pages,
+                    )?;
+                    finish_spanning(add(contributions)?, &mut scratch.nodes)?;
+                    return ordered.add::<K>(i, Vec::new());
+                }
                 let loaded = stored.into_iter().map(|page| self.pages.load(page));
                 let loaded = loaded.collect::<Result<Vec<_>, _>>()?;
                 let slices: Vec<&[u8]> = loaded.iter().map(|page| &**page).collect();
@@ -313,16 +354,8 @@ impl<'a, 'p> Steps<'a, 'p> {
                 build_chunk(rules, &chunks[i], table, &taken[i], scratch, &mut sink);
                 let ChunkSink { finished, contributions, .. } = sink;
                 loaded.into_iter().for_each(|page| self.pages.give_back(page));
-                let ready =
-                    spanning.lock().expect("no holder of the lock panics").add(i, contributions);
-                for (chunk, nodes) in ready {
-                    let finish =
-                        |node: ReadyNode| node.finish(rules, shape.layout, &mut scratch.nodes);
-                    let nodes: Vec<FinishedNode> = nodes.into_iter().map(finish).collect();
-                    nodes.iter().for_each(|node| self.progress.advance(node.points()));
-                    ordered.add(chunk, nodes)?;
-                }
-                ordered.add(i, finished)
+                finish_spanning(add(contributions)?, &mut scratch.nodes)?;
+                ordered.add::<K>(i, finished.into_iter().map(DoneNode::Finished).collect())
             };
             let step = |scratch: &mut ChunkScratch<K>, i: usize| {
                 build(scratch, i).inspect_err(|_| ordered.give_up())

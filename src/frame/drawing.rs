@@ -137,7 +137,11 @@ impl Renderer {
     /// Parts that cover a view, each of which can be drawn with `reach_px` around it.
     pub(super) fn tiles(&self, view: &View, reach_px: u32) -> Vec<Tile> {
         match &self.device {
-            Device::Cpu { .. } => Tile::cover(view, u32::MAX, CPU_TILE_PIXELS),
+            Device::Cpu { .. } => {
+                // Rows of the CPU's picture can be as long as they like.
+                let _ = reach_px;
+                Tile::cover(view, u32::MAX, CPU_TILE_PIXELS)
+            }
             #[cfg(feature = "gpu")]
             Device::Gpu(on_gpu) => {
                 let side = on_gpu.gpu.device().limits().max_texture_dimension_2d;

@@ -17,6 +17,7 @@ use crate::geometry::MortonKey;
 use crate::octree::LevelIndex;
 use crate::store::StoreError;
 use crate::store::blocks::SectionWriter;
+use crate::store::bytes::StoreBytes;
 use crate::store::codec::{CodecScratch, ElementShape};
 use crate::store::directory::{Row, Rows, SectionExtent};
 use crate::store::header::{HEADER_BYTES, Header, PartExtent, VERSION};
@@ -245,7 +246,25 @@ impl<'a> StoreWriter<'a> {
             }
             sections.push(extent);
         }
-        self.nodes.push(PlacedNode { row, sections, offset });
+        let node = PlacedNode { row, sections, offset };
+        if is_coarse(node.row.depth, node.bytes()) {
+            self.take_back(node)?;
+        } else {
+            self.nodes.push(node);
+        }
+        Ok(())
+    }
+
+    /// Holds back a node that was written last.
+    fn take_back(&mut self, node: PlacedNode) -> Result<(), StoreError> {
+        let mut bytes = vec![0; node.bytes() as usize];
+        let mut file = &self.part.file;
+        file.read_exact_at(&mut bytes, node.offset)
+            .and_then(|()| file.set_len(node.offset))
+            .and_then(|()| file.seek(SeekFrom::Start(node.offset)))
+            .map_err(io_error("cannot read back", &self.path))?;
+        self.end = node.offset;
+        self.coarse.push((node, bytes));
         Ok(())
     }
 

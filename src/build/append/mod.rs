@@ -278,9 +278,11 @@ impl Addition<'_> {
             }
             let mut wave = Vec::new();
             let mut weight = 0;
-            while let Some(task) = tasks.pop_front_if(|task| {
-                wave.is_empty() || weight + weigh(task) <= self.options.memory_bytes / 8
-            }) {
+            while let Some(task) = tasks.pop_front() {
+                if !wave.is_empty() && weight + weigh(&task) > self.options.memory_bytes / 8 {
+                    tasks.push_front(task);
+                    break;
+                }
                 weight += weigh(&task);
                 wave.push(task);
             }
@@ -288,10 +290,9 @@ impl Addition<'_> {
                 let (grown, later) = (Vec::new(), Vec::new());
                 let mut results = Results { grown, later, subtree_bytes: &subtree_bytes };
                 growth.grow(task, builder, &mut results)?;
-                Ok((results.grown, results.later))
+                Ok::<_, BuildError>((results.grown, results.later))
             };
-            let done: Vec<Result<(Vec<Grown>, Vec<Task<K>>), BuildError>> =
-                wave.into_par_iter().map_init(NodeBuilder::default, run).collect();
+            let done: Vec<_> = wave.into_par_iter().map_init(NodeBuilder::default, run).collect();
             for results in done {
                 let (grown, later) = results?;
                 grown.into_iter().try_for_each(|node| tally.add(node))?;

@@ -160,7 +160,7 @@ fn real_scans_join_a_store() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let store = folder.path().join("twice.esker");
     let options = ConvertOptions::default();
-    convert(&[scan.clone()], &store, &options, &Silent, &AtomicBool::new(false)).unwrap();
+    converted_with(&options, std::slice::from_ref(&scan), &store);
     let before = Store::open(&store).unwrap();
     let report = appended(&store, &[scan], &options).expect("it is added");
     assert_eq!(report.points, 2 * before.metadata().points);

@@ -55,6 +55,9 @@ pub struct ConvertArgs {
     /// [default: those of the header, or guessed]
     #[arg(long, value_name = "x,y,z,...", value_parser = parse_columns)]
     columns: Option<String>,
+    /// Take what can be read of damaged files and account for the rest, instead of refusing them
+    #[arg(long)]
+    salvage: bool,
     /// Seconds between two notes of how far the work is, from which a killed run goes on
     #[arg(long, value_name = "SECONDS", default_value_t = 30.0, value_parser = parse_seconds)]
     checkpoint_seconds: f64,
@@ -84,7 +87,7 @@ pub fn run(args: ConvertArgs) -> anyhow::Result<ExitCode> {
         threshold: args.threshold,
         representative: args.representative,
         checkpoint_every: Duration::from_secs_f64(args.checkpoint_seconds),
-        read: ReadOptions { columns: args.columns, ..ReadOptions::default() },
+        read: ReadOptions { columns: args.columns, salvage: args.salvage },
         ..ConvertOptions::default()
     };
     if let Some(memory) = args.memory {

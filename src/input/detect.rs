@@ -37,12 +37,12 @@ pub enum FileKind {
     Other,
 }
 
-/// How text formats are to be read; everything else ignores it.
+/// How files are to be read where they do not tell, or are damaged.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ReadOptions {
     /// Names of the columns of text files, separated by commas, where they are not to be guessed.
     pub columns: Option<String>,
-    /// Leave out lines that are no rows, and count them, instead of refusing the file.
+    /// Take what can be read of a damaged file, and count the rest, instead of refusing it.
     pub salvage: bool,
 }
 

@@ -23,7 +23,7 @@ use super::crs::Crs;
 use super::detect::{ReadOptions, Signs};
 use super::foreign::{
     CoordinateKind, ForeignFacts, ForeignFault, ForeignReader, MOST_BLOCK_ROWS, Pose, RowBlock,
-    RowBuffer, ScanPart,
+    RowBuffer, ScanPart, Unread,
 };
 use super::guard::without_panic;
 use super::positioned_file::PositionedFile;
@@ -42,9 +42,9 @@ pub(super) fn claims(signs: &Signs) -> bool {
 /// Opens a file and looks through all its points.
 pub(super) fn open(
     file: PositionedFile,
-    _: &ReadOptions,
+    options: &ReadOptions,
 ) -> Result<Box<dyn ForeignReader>, ForeignFault> {
-    Ok(Box::new(E57Reader::open(file)?))
+    Ok(Box::new(E57Reader::open(file, options.salvage)?))
 }
 
 /// One scan of a file.
@@ -55,6 +55,9 @@ struct E57Scan {
     pose: Option<Pose>,
     records: u64,
 }
+
+/// Pieces that are given up as a whole when something in them is damaged.
+const LEAST_PIECE_RECORDS: u64 = 64;
 
 /// Some rows of a scan.
 #[derive(Clone, Copy, Debug)]
@@ -83,7 +86,7 @@ struct Survey {
 }
 
 impl E57Reader {
-    fn open(file: PositionedFile) -> Result<Self, ForeignFault> {
+    fn open(file: PositionedFile, salvage: bool) -> Result<Self, ForeignFault> {
         let description = describe(&file)?;
         let pages = Pages::new(file);
         let mut columns = Columns::default();
@@ -114,25 +117,37 @@ impl E57Reader {
             crs: description.crs,
             skipped: description.skipped,
             warnings: Vec::new(),
+            unread: Vec::new(),
         };
         let mut reader = E57Reader { pages, scans, pieces, columns, facts };
-        reader.look_through()?;
+        reader.look_through(salvage)?;
         Ok(reader)
     }
 
-    fn look_through(&mut self) -> Result<(), ForeignFault> {
-        let survey = |rows: &mut RowBuffer, piece: usize| -> Result<Survey, ForeignFault> {
-            self.read_piece(self.pieces[piece], rows)?;
-            let bounds = rows.positions.iter();
-            Ok(Survey {
-                kept: rows.positions.len() as u64,
-                low: bounds.clone().fold(DVec3::INFINITY, |low, &p| low.min(p)),
-                high: bounds.fold(DVec3::NEG_INFINITY, |high, &p| high.max(p)),
-            })
+    fn look_through(&mut self, salvage: bool) -> Result<(), ForeignFault> {
+        let survey = |rows: &mut RowBuffer, piece: &Piece| {
+            let mut found = Vec::new();
+            self.survey(*piece, salvage, rows, &mut found);
+            found
         };
-        let pieces = (0..self.pieces.len()).into_par_iter();
-        let surveys: Vec<Survey> =
-            pieces.map_init(RowBuffer::default, survey).collect::<Result<_, _>>()?;
+        let found: Vec<_> =
+            self.pieces.par_iter().map_init(RowBuffer::default, survey).flatten_iter().collect();
+        let mut unread = Vec::new();
+        let mut surveys = Vec::with_capacity(found.len());
+        self.pieces.clear();
+        for (piece, survey) in found {
+            match survey {
+                Ok(survey) => {
+                    self.pieces.push(piece);
+                    surveys.push(survey);
+                }
+                Err(fault) if salvage => {
+                    let (part, points) = (piece.scan as u32, piece.records);
+                    unread.push(Unread { part, reason: ForeignFault::to_string(&fault), points });
+                }
+                Err(fault) => return Err(fault),
+            }
+        }
         let (mut points, mut total) = (0, 0);
         let mut bounds = [DVec3::INFINITY, DVec3::NEG_INFINITY];
         let mut blocks = Vec::with_capacity(surveys.len());
@@ -147,10 +162,39 @@ impl E57Reader {
         facts.blocks = blocks;
         facts.points = points;
         facts.dropped_points = total - points;
+        facts.unread = unread;
         if points > 0 {
             facts.bounds = bounds;
         }
         Ok(())
+    }
+
+    /// Looks at a piece; with `salvage`, at ever smaller parts of one that is damaged.
+    fn survey(
+        &self,
+        piece: Piece,
+        salvage: bool,
+        rows: &mut RowBuffer,
+        found: &mut Vec<(Piece, Result<Survey, ForeignFault>)>,
+    ) {
+        let outcome = self.read_piece(piece, rows).map(|()| {
+            let bounds = rows.positions.iter();
+            Survey {
+                kept: rows.positions.len() as u64,
+                low: bounds.clone().fold(DVec3::INFINITY, |low, &p| low.min(p)),
+                high: bounds.fold(DVec3::NEG_INFINITY, |high, &p| high.max(p)),
+            }
+        });
+        if outcome.is_ok() || !salvage || piece.records <= LEAST_PIECE_RECORDS {
+            found.push((piece, outcome));
+            return;
+        }
+        let half = piece.records / 2;
+        let first = Piece { records: half, ..piece };
+        let first_record = piece.first_record + half;
+        let second = Piece { first_record, records: piece.records - half, ..piece };
+        self.survey(first, salvage, rows, found);
+        self.survey(second, salvage, rows, found);
     }
 
     fn read_piece(&self, piece: Piece, rows: &mut RowBuffer) -> Result<(), ForeignFault> {

@@ -98,6 +98,19 @@ pub struct ForeignFacts {
     pub skipped: Vec<(String, u64)>,
     /// What is odd about the file but does not keep it from being read.
     pub warnings: Vec<String>,
+    /// Rows of damaged parts, if these are left out. They count in `parts`.
+    pub unread: Vec<Unread>,
+}
+
+/// Points that could not be read.
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct Unread {
+    /// Index of their scan.
+    pub part: u32,
+    /// What is wrong, and where.
+    pub reason: String,
+    /// How many.
+    pub points: u64,
 }
 
 /// Rows of one block; memory is used again.

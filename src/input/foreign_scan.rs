@@ -114,6 +114,10 @@ impl ForeignScan {
         sink: &mut RecordSink<'_, E>,
     ) -> Result<u64, E> {
         let fault = |fault| E::from(ScanError::foreign(&self.path, fault));
+        if block.points == 0 {
+            // Perhaps because it cannot be read.
+            return Ok(0);
+        }
         self.reader.read_block(block.chunk as usize, &mut buffer.rows).map_err(fault)?;
         let found = buffer.rows.positions.len() as u64;
         if found != block.points {

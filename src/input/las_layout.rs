@@ -4,6 +4,7 @@
 //! that is too high is a truncated file unless something else in the header vouches for the end.
 
 use super::error::LasFault;
+use super::foreign::Unread;
 use super::header::LasHeader;
 use super::positioned_file::PositionedFile;
 use super::scan::Block;
@@ -24,6 +25,7 @@ pub(super) struct Layout {
     pub points: u64,
     pub points_exact: bool,
     pub warnings: Vec<String>,
+    pub unread: Vec<Unread>,
 }
 
 /// Lays out plain records between the start of points and `end`, which is the end of the file
@@ -33,17 +35,21 @@ pub(super) fn las_layout(
     header: &LasHeader,
     end: u64,
     end_is_known: bool,
+    salvage: bool,
 ) -> Result<Layout, LasFault> {
     let start = u64::from(header.point_data_offset);
     let record_bytes = u64::from(header.record_bytes);
     let claimed = header.claimed_count();
     let available = (end - start) / record_bytes;
     let rest = (end - start) % record_bytes;
-    let mut warnings = Vec::new();
+    let (mut warnings, mut unread) = (Vec::new(), Vec::new());
     let mut points = available;
     if available < claimed {
         let vouched = end_is_known || rest == 0 && header.count_witnesses().contains(&available);
-        if !vouched {
+        if !vouched && salvage {
+            let points = claimed - available;
+            unread.push(Unread { part: 0, reason: "the file ends before them".into(), points });
+        } else if !vouched {
             let record_end =
                 u128::from(start) + u128::from(available + 1) * u128::from(record_bytes);
             let record = available + 1;
@@ -77,7 +83,7 @@ pub(super) fn las_layout(
         let from = start + first_point * record_bytes;
         Block::records(first_point, count, from..from + count * record_bytes)
     });
-    Ok(Layout { blocks: blocks.collect(), points, points_exact: true, warnings })
+    Ok(Layout { blocks: blocks.collect(), points, points_exact: true, warnings, unread })
 }
 
 /// Whether a record's place holds only zeros, as in files that were allocated ahead.

@@ -140,6 +140,29 @@ pub(super) fn laz_layout(
     header: &LasHeader,
     coding: &LazCoding,
     end: u64,
+    salvage: bool,
+) -> Result<Layout, LasFault> {
+    let outcome = laid_out(file, header, coding, end);
+    let data_start = u64::from(header.point_data_offset) + 8;
+    // Without its table, a file of chunks of equal size can be read from the start.
+    let is_equal = matches!(coding.chunks, ChunkRule::Fixed(_)) || coding.layered;
+    match outcome {
+        Err(fault @ (LasFault::ChunkTable { .. } | LasFault::Chunk { .. }))
+            if salvage && is_equal && data_start < end =>
+        {
+            let mut layout = sequence(data_start, end, header.claimed_count());
+            layout.warnings.push(format!("{fault}; the points are read in sequence"));
+            Ok(layout)
+        }
+        outcome => outcome,
+    }
+}
+
+fn laid_out(
+    file: &PositionedFile,
+    header: &LasHeader,
+    coding: &LazCoding,
+    end: u64,
 ) -> Result<Layout, LasFault> {
     let start = u64::from(header.point_data_offset);
     let claimed = header.claimed_count();
@@ -175,7 +198,7 @@ pub(super) fn laz_layout(
 /// One block over everything.
 fn sequence(start: u64, end: u64, claimed: u64) -> Layout {
     let blocks = if claimed > 0 { vec![Block::sequence(claimed, start..end)] } else { vec![] };
-    Layout { blocks, points: claimed, points_exact: claimed == 0, warnings: Vec::new() }
+    Layout { blocks, points: claimed, points_exact: claimed == 0, ..Layout::default() }
 }
 
 /// Where the chunk table starts; `None` if its writer left no pointer.

@@ -42,7 +42,7 @@ pub use detect::{FileKind, ReadOptions, detect, scan_suffixes};
 pub use error::{LasError, LasFault, ScanError};
 pub use foreign::{
     Column, CoordinateKind, ForeignFacts, ForeignFault, ForeignReader, MOST_BLOCK_ROWS, Pose,
-    RowBlock, RowBuffer, ScanPart,
+    RowBlock, RowBuffer, ScanPart, Unread,
 };
 pub use foreign_scan::ForeignScan;
 pub use guard::without_panic;

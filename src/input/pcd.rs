@@ -33,7 +33,7 @@ pub(super) fn claims(signs: &Signs) -> bool {
 /// Opens a file and looks through its points.
 pub(super) fn open(
     file: PositionedFile,
-    _: &ReadOptions,
+    options: &ReadOptions,
 ) -> Result<Box<dyn ForeignReader>, ForeignFault> {
     let header = Header::read(&file)?;
     let declared = header.fields.iter().map(|field| (field.name.as_str(), field.scalar));
@@ -44,6 +44,7 @@ pub(super) fn open(
         applies_pose: false,
         skipped: Vec::new(),
         warnings: header.warnings.clone(),
+        salvaged: options.salvage.then_some(header.points),
     };
     let (start, points) = (header.bytes, header.points);
     match header.encoding {
@@ -56,7 +57,9 @@ pub(super) fn open(
         }
         Encoding::Binary => {
             let plan = RowPlan::new(&header.fields, true)?;
-            open_table(FixedRows::new(file, start, points, plan.row_bytes, None)?, plan, facts)
+            let salvage = options.salvage;
+            let rows = FixedRows::new(file, start, points, plan.row_bytes, None, salvage)?;
+            open_table(rows, plan, facts)
         }
         Encoding::Compressed => {
             let plan = RowPlan::new(&header.fields, true)?;

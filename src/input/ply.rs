@@ -28,7 +28,7 @@ pub(super) fn claims(signs: &Signs) -> bool {
 /// Opens a file and looks through its vertices.
 pub(super) fn open(
     file: PositionedFile,
-    _: &ReadOptions,
+    options: &ReadOptions,
 ) -> Result<Box<dyn ForeignReader>, ForeignFault> {
     let header = Header::read(&file)?;
     let is_cloud = |element: &Element| {
@@ -47,7 +47,8 @@ pub(super) fn open(
         _ => cloud.properties.iter().filter_map(field_of).collect(),
     };
     let plan = RowPlan::new(&fields, false)?;
-    let facts = facts_of(&header, place);
+    let mut facts = facts_of(&header, place);
+    facts.salvaged = options.salvage.then_some(cloud.count);
     let swaps = header.encoding == Encoding::BigEndian;
     if header.encoding == Encoding::Ascii {
         let skipped = before.iter().map(|element| element.count).fold(0, u64::saturating_add);
@@ -62,7 +63,7 @@ pub(super) fn open(
     }
     let sizes = cloud.properties.iter().filter_map(field_of).map(|f| f.scalar.bytes() as u8);
     let sizes = swaps.then(|| sizes.collect());
-    let rows = FixedRows::new(file, start, cloud.count, plan.row_bytes, sizes)?;
+    let rows = FixedRows::new(file, start, cloud.count, plan.row_bytes, sizes, options.salvage)?;
     open_table(rows, plan, facts)
 }
 
@@ -100,5 +101,6 @@ fn facts_of(header: &Header, place: usize) -> TableFacts {
         applies_pose: true,
         skipped: lists.chain(others).collect(),
         warnings: Vec::new(),
+        salvaged: None,
     }
 }

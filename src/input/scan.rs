@@ -12,6 +12,7 @@ use super::crs::{self, Crs};
 use super::detect::open_regular;
 use super::error::{LasError, LasFault};
 use super::foreign::RowBuffer;
+use super::foreign::Unread;
 use super::header::LasHeader;
 use super::las_layout::{Layout, las_layout};
 use super::laz_decode::decode_block;
@@ -99,6 +100,9 @@ pub struct ScanFacts {
     pub vlrs: Vec<VlrFacts>,
     /// What is wrong with the file but does not keep it from being read.
     pub warnings: Vec<String>,
+    /// Points that the header claims and a damaged file does not have, if it is read all the same.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub unread: Vec<Unread>,
 }
 
 /// A part of a scan that can be read on its own.
@@ -188,15 +192,16 @@ impl LasScan {
     /// Opens a file and reads everything except its points.
     pub fn open(path: &Path) -> Result<Self, LasError> {
         let file = open_regular(path).map_err(|fault| LasError::new(path, fault))?;
-        Self::of(file, path)
+        Self::of(file, path, false)
     }
 
     /// The same of what is open already, or in memory; `path` is its name in errors.
-    pub fn of(file: PositionedFile, path: &Path) -> Result<Self, LasError> {
-        Self::read_head(file, path).map_err(|fault| LasError::new(path, fault))
+    /// With `salvage`, what is left of a damaged file is read.
+    pub fn of(file: PositionedFile, path: &Path, salvage: bool) -> Result<Self, LasError> {
+        Self::read_head(file, path, salvage).map_err(|fault| LasError::new(path, fault))
     }
 
-    fn read_head(file: PositionedFile, path: &Path) -> Result<Self, LasFault> {
+    fn read_head(file: PositionedFile, path: &Path, salvage: bool) -> Result<Self, LasFault> {
         let file_bytes = file.bytes();
         // A header's length is a 16-bit field.
         let head = file.read_range(0..file_bytes.min(u64::from(u16::MAX)))?;
@@ -208,9 +213,14 @@ impl LasScan {
         vlr::limit("bytes before the points", header_bytes, region_bytes, vlr::MOST_VLR_BYTES)?;
         let region = file.read_range(header_bytes..points_start)?;
         let vlrs = vlr::vlrs(&region, header.vlr_count, header_bytes)?;
-        let evlrs = find_evlrs(&file, &header)?;
-
         let mut warnings = header.oddities();
+        let evlrs = match find_evlrs(&file, &header) {
+            Err(fault) if salvage => {
+                warnings.push(format!("extended records are left out: {fault}"));
+                Vec::new()
+            }
+            evlrs => evlrs?,
+        };
         let data_of = |vlr: &Vlr| -> Result<Vec<u8>, LasFault> {
             if vlr.extended {
                 let bytes = vlr.data.end - vlr.data.start;
@@ -247,10 +257,10 @@ impl LasScan {
             None
         };
         let layout = match &coding {
-            Some(coding) => laz_layout(&file, &header, coding, end)?,
-            None => las_layout(&file, &header, end, after.is_some())?,
+            Some(coding) => laz_layout(&file, &header, coding, end, salvage)?,
+            None => las_layout(&file, &header, end, after.is_some(), salvage)?,
         };
-        let Layout { blocks, points, points_exact, warnings: more } = layout;
+        let Layout { blocks, points, points_exact, warnings: more, unread } = layout;
         warnings.extend(more);
 
         let header_part = head[..usize::from(header.header_bytes)].to_vec();
@@ -279,6 +289,7 @@ impl LasScan {
             crs,
             vlrs: vlrs.iter().chain(&evlrs).map(vlr_facts).collect(),
             warnings,
+            unread,
         };
         let path = path.to_path_buf();
         Ok(LasScan { path, file, header, template, evlrs, schema, facts, coding, blocks })

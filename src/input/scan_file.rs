@@ -36,7 +36,7 @@ impl Scan {
         let named_las = suffix.is_some_and(|suffix| suffix == "las" || suffix == "laz");
         // What calls itself a LAS file and is none is told so.
         if las_kind(&head).is_some() || named_las {
-            return Ok(Scan::Las(Box::new(LasScan::of(file, path)?)));
+            return Ok(Scan::Las(Box::new(LasScan::of(file, path, options.salvage)?)));
         }
         let format = format_of(path, &head).ok_or_else(|| {
             let found = head[..head.len().min(8)].escape_ascii();

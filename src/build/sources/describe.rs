@@ -76,10 +76,38 @@ fn common(source: &Source, points: u64) -> SourceInfo {
     }
 }
 
-fn describe_las(source: &Source, points: u64, described: &mut Described) {
+/// Reasons that are told one by one.
+const MOST_REASONS: usize = 20;
+
+/// Points that could not be read, each kind with its reason.
+fn unread_as_dropped<'a>(unread: impl Iterator<Item = (&'a str, u64)>) -> Vec<DroppedPoints> {
+    let mut dropped: Vec<DroppedPoints> = Vec::new();
+    for (reason, points) in unread {
+        let reason = format!("could not be read: {reason}");
+        if dropped.len() == MOST_REASONS {
+            let rest = dropped.last_mut().expect("there are several");
+            rest.reason = "could not be read, for further reasons".into();
+            rest.points += points;
+        } else {
+            dropped.push(DroppedPoints { reason, points });
+        }
+    }
+    dropped
+}
+
+fn describe_las(source: &Source, kept: u64, described: &mut Described) {
     let Some(scan) = source.scan.las() else { return };
     let template = scan.template();
+    let unread = &scan.facts().unread;
+    let mut dropped =
+        unread_as_dropped(unread.iter().map(|unread| (unread.reason.as_str(), unread.points)));
+    if let Some(fault) = source.fault() {
+        let lost = scan.points().saturating_sub(kept);
+        dropped.extend(unread_as_dropped([(fault.as_str(), lost)].into_iter()));
+    }
+    let points = kept + dropped.iter().map(|dropped| dropped.points).sum::<u64>();
     described.infos.push(SourceInfo {
+        dropped,
         point_format: Some(scan.facts().point_format),
         header_bytes: template.header_bytes().len() as u64,
         vlr_bytes: template.vlr_bytes().len() as u64,
@@ -106,11 +134,14 @@ fn describe_foreign(source: &Source, scan: &ForeignScan, described: &mut Describ
     }
     for (index, part) in facts.parts.iter().enumerate() {
         let mut info = common(source, part.points);
-        let dropped = part.points - kept[index].min(part.points);
+        let unread = facts.unread.iter().filter(|unread| unread.part as usize == index);
+        let lost: u64 = unread.clone().map(|unread| unread.points).sum();
+        let dropped = part.points - (kept[index] + lost).min(part.points);
         if dropped > 0 {
             let reason = "a coordinate is not finite or is marked invalid".to_string();
             info.dropped.push(DroppedPoints { reason, points: dropped });
         }
+        info.dropped.extend(unread_as_dropped(unread.map(|u| (u.reason.as_str(), u.points))));
         info.scan = part.name.clone();
         info.scan_index = (facts.parts.len() > 1).then_some(index as u32);
         info.pose = part.pose.map(|pose| pose_info(pose, scan.applies_poses()));

@@ -14,7 +14,7 @@ mod source;
 mod stored;
 
 use std::path::PathBuf;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use glam::{DVec3, I64Vec3};
 use rayon::prelude::*;
@@ -34,6 +34,8 @@ pub struct Sources {
     lattice: Lattice,
     /// The blocks that are read, each with its file, if not all are.
     sample: Option<Vec<(usize, Block)>>,
+    /// Whether what cannot be read is left out.
+    salvage: bool,
 }
 
 impl Sources {
@@ -43,7 +45,7 @@ impl Sources {
         let first = &scans[0];
         let source_count: usize = scans.iter().map(source_count).sum();
         if source_count > 1 {
-            return Sources::join(scans, source_count);
+            return Sources::join(scans, source_count, options);
         }
         let (schema, lattice) = (first.schema().clone(), first.lattice());
         let untouched = |scan| Source {
@@ -53,13 +55,18 @@ impl Sources {
             shift: [0; 3],
             own_attributes: None,
             warnings: Vec::new(),
+            fault: OnceLock::new(),
             stored: None,
         };
         let scans = scans.into_iter().map(untouched).collect();
-        Ok(Sources { scans, schema, lattice, sample: None })
+        Ok(Sources { scans, schema, lattice, sample: None, salvage: options.salvage })
     }
 
-    fn join(mut scans: Vec<Scan>, sources: usize) -> Result<Self, BuildError> {
+    fn join(
+        mut scans: Vec<Scan>,
+        sources: usize,
+        options: &ReadOptions,
+    ) -> Result<Self, BuildError> {
         let mut wishes: Vec<Wish> = scans.iter().map(Wish::of).collect();
         let common = match shared_lattice(&wishes) {
             Some(shared) => shared,
@@ -83,7 +90,13 @@ impl Sources {
         let source_place = source.map(|a| (a.record_offset as usize, a.scalar));
         let schema = layout.schema.clone();
         let scans = assemble(scans, common.fits, layout, source_place, 0);
-        Ok(Sources { scans: scans.into(), schema, lattice: common.lattice, sample: None })
+        Ok(Sources {
+            scans: scans.into(),
+            schema,
+            lattice: common.lattice,
+            sample: None,
+            salvage: options.salvage,
+        })
     }
 
     /// The same files, of which only about so many points are read, spread evenly over all.
@@ -97,7 +110,8 @@ impl Sources {
             source.scan.sampled_blocks(share).into_iter().map(move |block| (i, block))
         });
         let (scans, schema) = (Arc::clone(&self.scans), self.schema.clone());
-        Sources { scans, schema, lattice: self.lattice, sample: Some(sample.collect()) }
+        let (lattice, salvage) = (self.lattice, self.salvage);
+        Sources { scans, schema, lattice, sample: Some(sample.collect()), salvage }
     }
 
     /// The files.
@@ -158,6 +172,10 @@ impl Sources {
         let outcome = self.scans[source].read_block(block, buffer, &mut |_, records| take(records));
         match outcome {
             Err(BuildError::Input(_)) if self.sample.is_some() => Ok(()),
+            Err(BuildError::Input(error)) if self.salvage => {
+                self.scans[source].fault.get_or_init(|| error.to_string());
+                Ok(())
+            }
             outcome => outcome.map(|_| ()),
         }
     }
@@ -208,7 +226,16 @@ fn assemble(
         let all = own.len() + usize::from(source_place.is_some()) == schema.attributes.len();
         let own_attributes = (!all).then_some(own);
         let adapter = Some(adapter);
-        Source { scan, adapter, first_source, shift, own_attributes, warnings, stored: None }
+        Source {
+            scan,
+            adapter,
+            first_source,
+            shift,
+            own_attributes,
+            warnings,
+            fault: OnceLock::new(),
+            stored: None,
+        }
     });
     scans.collect()
 }

@@ -22,7 +22,7 @@ impl Sources {
     ) -> Result<Self, BuildError> {
         let scans = sources_onto(paths, options, store)?.into();
         let (schema, lattice) = (store.schema.clone(), store.lattice());
-        Ok(Sources { scans, schema, lattice, sample: None })
+        Ok(Sources { scans, schema, lattice, sample: None, salvage: options.salvage })
     }
 }
 

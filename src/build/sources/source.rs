@@ -1,6 +1,7 @@
 //! One input file, its records in the layout of the store.
 
 use std::path::Path;
+use std::sync::OnceLock;
 
 use crate::build::sources::adapt::Adapter;
 use crate::build::sources::stored::Stored;
@@ -20,11 +21,18 @@ pub struct Source {
     pub(super) own_attributes: Option<Vec<String>>,
     /// What joining it with others changed, in words.
     pub(super) warnings: Vec<String>,
+    /// The first thing that could not be read, if that is no reason to stop.
+    pub(super) fault: OnceLock<String>,
     /// What it says of its own sources, if it is a store.
     pub(super) stored: Option<Stored>,
 }
 
 impl Source {
+    /// Why some of it could not be read, if damaged parts are left out.
+    pub(super) fn fault(&self) -> Option<&String> {
+        self.fault.get()
+    }
+
     /// The file.
     pub fn path(&self) -> &Path {
         self.scan.path()

@@ -4,6 +4,7 @@
 //! inserted. Their records are bytes here: layout and lattice of the result are the store's own.
 
 use std::path::PathBuf;
+use std::sync::OnceLock;
 
 use crate::build::BuildError;
 use crate::build::sources::onto::sources_onto;
@@ -50,10 +51,11 @@ impl Sources {
             shift: [0; 3],
             own_attributes: None,
             warnings: Vec::new(),
+            fault: OnceLock::new(),
             stored: Some(stored),
         };
         scans.insert(0, first);
-        Ok(Sources { scans: scans.into(), schema, lattice, sample: None })
+        Ok(Sources { scans: scans.into(), schema, lattice, sample: None, salvage: options.salvage })
     }
 }
 
@@ -105,6 +107,7 @@ impl StoredReader {
             crs,
             skipped: Vec::new(),
             warnings: Vec::new(),
+            unread: Vec::new(),
         };
         StoredReader { store, facts, blocks }
     }

@@ -21,17 +21,19 @@ pub struct FixedRows {
 }
 
 impl FixedRows {
-    /// Rows from a byte on; refused if the file ends before the last.
+    /// Rows from a byte on; refused if the file ends before the last, unless those that are there
+    /// are wanted.
     pub fn new(
         file: PositionedFile,
         start: u64,
         rows: u64,
         row_bytes: usize,
         swapped: Option<Vec<u8>>,
+        salvage: bool,
     ) -> Result<Self, ForeignFault> {
         let bytes = row_bytes as u64;
         let whole = file.bytes().saturating_sub(start) / bytes;
-        if whole < rows {
+        if whole < rows && !salvage {
             let reason = format!(
                 "truncated in row {} of {rows}: rows have {bytes} bytes and the file ends at byte \
                  {}",
@@ -41,6 +43,7 @@ impl FixedRows {
             return Err(ForeignFault::at_byte(start.saturating_add(whole * bytes), reason));
         }
         let block_rows = (MOST_BLOCK_BYTES / bytes).clamp(1, MOST_BLOCK_ROWS);
+        let rows = rows.min(whole);
         Ok(FixedRows { file, start, rows, row_bytes, block_rows, swapped })
     }
 }

@@ -9,6 +9,7 @@ use super::plan::RowPlan;
 use crate::input::crs::Crs;
 use crate::input::foreign::{
     CoordinateKind, ForeignFacts, ForeignFault, ForeignReader, RowBlock, RowBuffer, ScanPart,
+    Unread,
 };
 use crate::input::placing::decimal_lattice;
 use crate::points::Scalar;
@@ -48,6 +49,8 @@ pub struct TableFacts {
     pub skipped: Vec<(String, u64)>,
     /// What is odd.
     pub warnings: Vec<String>,
+    /// Rows that the file claims, if damaged ones are to be left out; else none may be damaged.
+    pub salvaged: Option<u64>,
 }
 
 /// A table as a scan.
@@ -75,8 +78,17 @@ impl<R: Rows> TableReader<R> {
     pub fn open(rows: R, plan: RowPlan, table: TableFacts) -> Result<Self, ForeignFault> {
         let blocks = 0..rows.block_count();
         let look = |packed: &mut Vec<u8>, block| survey(&rows, &plan, block, packed);
-        let surveys: Vec<Survey> =
-            blocks.into_par_iter().map_init(Vec::new, look).collect::<Result<_, _>>()?;
+        let surveys: Vec<Result<Survey, ForeignFault>> =
+            blocks.into_par_iter().map_init(Vec::new, look).collect();
+        let mut fault = None;
+        let take = |survey| match survey {
+            Err(found) if table.salvaged.is_some() => {
+                fault.get_or_insert(found);
+                Ok(Survey::NOTHING)
+            }
+            survey => survey,
+        };
+        let surveys = surveys.into_iter().map(take).collect::<Result<Vec<Survey>, _>>()?;
         let (mut points, mut total) = (0, 0);
         let mut blocks = Vec::with_capacity(surveys.len());
         let mut bounds = [DVec3::INFINITY, DVec3::NEG_INFINITY];
@@ -105,6 +117,9 @@ impl<R: Rows> TableReader<R> {
             let nearest = |v: DVec3| v.as_vec3().as_dvec3();
             bounds = bounds.map(nearest);
         }
+        let lost = table.salvaged.map_or(0, |claimed| claimed.saturating_sub(total));
+        let reason = fault.map_or("the file ends before them".into(), |fault| fault.to_string());
+        let unread = Unread { part: 0, reason, points: lost };
         let facts = ForeignFacts {
             format: table.format,
             points,
@@ -112,14 +127,26 @@ impl<R: Rows> TableReader<R> {
             bounds,
             coordinates,
             columns: plan.columns.clone(),
-            parts: vec![ScanPart { points: total, ..table.part }],
+            parts: vec![ScanPart { points: total + lost, ..table.part }],
             blocks,
             crs: Crs::default(),
             skipped: table.skipped,
             warnings: table.warnings,
+            unread: if lost > 0 { vec![unread] } else { Vec::new() },
         };
         Ok(TableReader { rows, plan, facts, rounds, applies_pose: table.applies_pose })
     }
+}
+
+impl Survey {
+    /// Of a block that cannot be read.
+    const NOTHING: Survey = Survey {
+        rows: 0,
+        kept: 0,
+        low: DVec3::INFINITY,
+        high: DVec3::NEG_INFINITY,
+        digits: Some(0),
+    };
 }
 
 fn survey(

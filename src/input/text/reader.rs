@@ -414,6 +414,7 @@ impl<'a> Opening<'a> {
                 count => vec![("lines that are no rows".to_string(), count)],
             },
             warnings: self.warnings,
+            unread: Vec::new(),
         };
         Ok(TextReader {
             file,

@@ -82,6 +82,43 @@ pub fn approach(source: &dyn NodeSource, size: (u32, u32), steps: u32) -> Vec<Na
     views
 }
 
+/// A flight of so many frames through the cloud: over its length in slow curves, a little above
+/// its middle height, looking ahead and down, and back again after two thirds, faster.
+pub fn flight(
+    source: &dyn NodeSource,
+    size: (u32, u32),
+    frames: u32,
+) -> Result<Vec<View>, NodeReadError> {
+    let sample = root_points(source)?;
+    let bounds = source.bounds();
+    if sample.is_empty() || bounds.is_empty() {
+        return Ok(Vec::new());
+    }
+    let radius = (0.5 * bounds.diagonal()).max(1e-3);
+    let mut heights: Vec<f64> = sample.iter().map(|point| point.z).collect();
+    let half = heights.len() / 2;
+    let middle = *heights.select_nth_unstable_by(half, f64::total_cmp).1;
+    let along = if bounds.size().x >= bounds.size().y { DVec3::X } else { DVec3::Y };
+    let across = DVec3::new(along.y, along.x, 0.0);
+    let (length, width) = (bounds.size().dot(along), bounds.size().dot(across));
+    let place = |t: f64| {
+        let there = if t < 2.0 / 3.0 { 1.5 * t } else { 3.0 * (1.0 - t) };
+        let side = (there * std::f64::consts::TAU).sin();
+        let level = DVec3::new(bounds.center().x, bounds.center().y, middle + 0.08 * radius);
+        level + along * (length * (0.9 * there - 0.45)) + across * (0.2 * width * side)
+    };
+    let last = f64::from(frames.max(2) - 1);
+    let views = (0..frames).map(|frame| {
+        let t = f64::from(frame) / last;
+        // The direction of flight, kept at the very end.
+        let (from, to) = if t < 0.995 { (t, t + 0.005) } else { (0.99, 1.0) };
+        let ahead = (place(to) - place(from)).normalize_or(along);
+        let eye = place(t);
+        view(eye, eye + ahead * (0.3 * radius) - DVec3::Z * (0.08 * radius), radius, size)
+    });
+    Ok(views.collect())
+}
+
 fn view(eye: DVec3, target: DVec3, radius: f64, (width_px, height_px): (u32, u32)) -> View {
     let fov_y_rad = FOV_Y_DEG.to_radians();
     let camera = Camera::looking_at(eye, target, DVec3::Z, fov_y_rad, 1e-4 * radius);

@@ -6,6 +6,8 @@ mod convert;
 mod limits;
 mod lod;
 mod plot;
+mod slow_bytes;
+mod stream;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -25,9 +27,9 @@ pub struct BenchArgs {
     /// What is measured
     #[arg(value_enum)]
     suite: Suite,
-    /// lod: stores or scans; scans are converted into a temporary store first. convert: scans
+    /// lod, stream: stores or scans; scans are converted into a temporary store first. convert: scans
     /// [default: one beside the checkout, else one that is made]
-    #[arg(value_name = "FILE", required_if_eq("suite", "lod"))]
+    #[arg(value_name = "FILE", required_if_eq_any([("suite", "lod"), ("suite", "stream")]))]
     files: Vec<PathBuf>,
     /// Folder for the CSV file and the plots
     #[arg(short, long, value_name = "DIR", default_value = "out/bench")]
@@ -50,6 +52,9 @@ enum Suite {
     Lod,
     /// Conversion: the time of its stages against what the machine allows
     Convert,
+    /// Streaming: time to the first and to the whole picture from slow disks, a flight through
+    /// more than memory holds
+    Stream,
 }
 
 /// Runs a suite.
@@ -59,6 +64,7 @@ pub fn run(args: BenchArgs) -> anyhow::Result<ExitCode> {
     match args.suite {
         Suite::Lod => lod::run(&args)?,
         Suite::Convert => convert::run(&args)?,
+        Suite::Stream => stream::run(&args)?,
     }
     Ok(ExitCode::SUCCESS)
 }

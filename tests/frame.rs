@@ -282,6 +282,31 @@ fn a_full_cache_settles() {
     }
 }
 
+/// When the device turns out to have less memory than it was asked for, caches become smaller, step
+/// by step, and frames go on.
+#[test]
+fn caches_shrink_and_frames_go_on() {
+    let cloud = cloud(60_000, UTM, 4);
+    let (eye, target, fov) = VIEWS[0];
+    let view = view(UTM, eye, target, fov);
+    for path in paths() {
+        let mut shrinking = renderer(path, &cloud, 64 << 20);
+        let whole = shrinking.render(&view, &FrameSettings::default()).unwrap().clone();
+        let (mut steps, mut limit_bytes) = (0, 64 << 20);
+        while shrinking.shrink_caches() {
+            steps += 1;
+            assert!(steps < 40, "{path:?}: it never ends");
+            let stats = shrinking.render(&view, &FrameSettings::default()).unwrap().clone();
+            assert!(stats.points_drawn > 0 && stats.node_bytes <= limit_bytes, "{path:?}");
+            assert!(stats.problems.iter().any(|problem| problem.contains("memory ran out")));
+            let fits = stats.nodes_without_room == 0;
+            assert_eq!(fits, stats.points_drawn == whole.points_drawn, "{path:?} {stats:?}");
+            limit_bytes = limit_bytes.min(64 << 20) / 2 + (1 << 20);
+        }
+        assert!(steps > 1, "{path:?}");
+    }
+}
+
 /// A picked pixel gives the world position of the point that it shows.
 #[test]
 fn picking_gives_the_place_of_the_point() {

@@ -174,6 +174,8 @@ impl Schedule {
         mut may_go: impl FnMut(SceneNode) -> bool,
     ) -> Vec<(SceneNode, Arc<LoadedNode>)> {
         let (mut out, mut sum_bytes) = (Vec::new(), 0u64);
+        // What was handed out may go when room is needed, after all that is older.
+        let before = self.list.saturating_sub(1);
         for wish in self.wishes.iter().filter(|wish| !wish.ahead) {
             let Some(words) = self.held.get(&wish.node) else { continue };
             if !out.is_empty() && sum_bytes + words.bytes() > quota_bytes {
@@ -184,6 +186,7 @@ impl Schedule {
             }
             sum_bytes += words.bytes();
             self.delivered.insert(wish.node);
+            self.lru.touch(wish.node, before);
             self.stats.nodes_delivered += 1;
             self.stats.ram_hits += u64::from(self.hits.remove(&wish.node));
             out.push((wish.node, words.clone()));
@@ -336,7 +339,8 @@ impl Schedule {
         // What this list does not want, then what it wants less: from its end.
         let is_unwanted = |&key: &SceneNode| self.lru.last_use(key) < Some(self.list);
         let later = self.wishes[index + 1..].iter().rev().map(|wish| wish.node);
-        let later = later.filter(|node| self.held.contains_key(node));
+        let is_later = |node: &SceneNode| self.held.contains_key(node) && !is_unwanted(node);
+        let later = later.filter(is_later);
         for victim in self.lru.keys().take_while(is_unwanted).chain(later) {
             if free_bytes >= needed_bytes {
                 break;

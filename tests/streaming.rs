@@ -429,6 +429,12 @@ fn many_threads_keep_the_limits() {
         let stream = stats.stream.expect("it streams");
         assert!(stream.ram_peak_bytes <= memory_bytes, "{stream:?}");
         assert!(stream.nodes_in_flight <= 8 && stats.node_bytes <= 150_000, "{stats:?}");
+        let now = resident(&flying, &*cloud);
+        let has_parent = |&id: &NodeId| {
+            let parent = cloud.octree().node(id).parent;
+            parent.is_none_or(|parent| now.contains(&parent) || parent == NodeId(5))
+        };
+        assert!(now.iter().all(has_parent), "a node without its parent");
     }
     let mut frames = 0;
     while !flying.render(&flight(8), &settings(60_000)).unwrap().complete {

@@ -19,6 +19,9 @@ const AHEAD_ERROR: f64 = 0.75;
 /// Part of the main memory for nodes that is used for what is read ahead.
 const AHEAD_SHARE: u64 = 4;
 
+/// Most nodes on a list; far more than come before the next one.
+const MAX_WISHES: usize = 4096;
+
 /// What lives as long as the renderer, for streaming.
 pub(super) struct Streaming {
     pub(super) settings: StreamSettings,
@@ -164,7 +167,8 @@ impl Renderer {
         let wish =
             |(node, ahead): (SceneNode, bool)| Wish { node, size: self.node_size(node), ahead };
         let now = missing.into_iter().map(|node| (node, false));
-        let wishes = now.chain(ahead.into_iter().map(|node| (node, true))).map(wish).collect();
+        let all = now.chain(ahead.into_iter().map(|node| (node, true)));
+        let wishes = all.take(MAX_WISHES).map(wish).collect();
         let (cache, failed) = (&self.cache, &self.failed);
         let mut going: HashSet<SceneNode> = HashSet::new();
         let sources = &self.sources;

@@ -23,6 +23,8 @@ use crate::commands::bench::slow_bytes::{Disk, SlowBytes};
 use crate::commands::bench::{BenchArgs, cameras, machine, open_all, write_file};
 use crate::frame::{FIRST_PICTURE_BYTES, FrameSettings, FrameStats, Loading, NodeSource, Renderer};
 use crate::geometry::{Camera, View, ViewPreset};
+use crate::gpu::layout::position_words;
+use crate::ids::NodeId;
 use crate::metrics::{Pixels, compare, peak_rss_bytes};
 use crate::passes::Picture;
 use crate::store::Store;
@@ -175,14 +177,21 @@ fn open(store: &Store, disk: Disk) -> anyhow::Result<Arc<Store>> {
     Ok(Arc::new(Store::open_bytes(Box::new(bytes), path, FIRST_PICTURE_BYTES)?))
 }
 
-fn word_bytes(store: &Store) -> u64 {
+/// Bytes of the words of all nodes, one after the other.
+fn node_bytes(store: &Store) -> impl Iterator<Item = u64> + '_ {
     let octree = store.octree();
-    let bytes = |id: u32| {
-        let node = crate::ids::NodeId(id);
-        let words = u64::from(crate::gpu::layout::position_words(octree.local_bits(node))) + 1;
+    (0..octree.nodes().len() as u32).map(NodeId).map(move |node| {
+        let words = u64::from(position_words(octree.local_bits(node))) + 1;
         4 * words * u64::from(octree.node(node).point_count())
-    };
-    (0..octree.nodes().len() as u32).map(bytes).sum()
+    })
+}
+
+fn word_bytes(store: &Store) -> u64 {
+    node_bytes(store).sum()
+}
+
+fn largest_node_bytes(store: &Store) -> u64 {
+    node_bytes(store).max().unwrap_or(0)
 }
 
 fn settings(quota_bytes: u64) -> FrameSettings {
@@ -519,7 +528,8 @@ fn fly(
     caching: Caching,
 ) -> anyhow::Result<Flight> {
     let scene_bytes = word_bytes(store);
-    let limit_bytes = scene_bytes / 20;
+    // Nodes of a small scan are large beside it; a few must have room.
+    let limit_bytes = (scene_bytes / 20).max(8 * largest_node_bytes(store));
     let mut renderer = drawing.renderer(limit_bytes)?;
     let streaming = StreamSettings {
         when: StreamWhen::Always,

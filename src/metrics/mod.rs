@@ -7,4 +7,4 @@ mod error;
 mod memory;
 
 pub use error::{Displacement, PictureError, Pixels, compare};
-pub use memory::peak_rss_bytes;
+pub use memory::{peak_rss_bytes, rss_bytes};

@@ -25,7 +25,7 @@ use crate::frame::{FIRST_PICTURE_BYTES, FrameSettings, FrameStats, Loading, Node
 use crate::geometry::{Camera, View, ViewPreset};
 use crate::gpu::layout::position_words;
 use crate::ids::NodeId;
-use crate::metrics::{Pixels, compare, peak_rss_bytes};
+use crate::metrics::{Pixels, compare, rss_bytes};
 use crate::passes::Picture;
 use crate::store::Store;
 use crate::stream::{StreamSettings, StreamWhen};
@@ -452,13 +452,14 @@ struct Row {
     frame_ms: f64,
     stats: FrameStats,
     reads: u64,
+    rss_bytes: u64,
 }
 
 const FLIGHT_HEADER: &str = "scan,disk,caching,frame,seconds,frame_ms,points_drawn,nodes_drawn,\
     nodes_requested,nodes_without_room,nodes_loaded,nodes_evicted,nodes_waited_for,node_bytes,\
     ram_bytes,ram_peak_bytes,ram_limit_bytes,nodes_in_flight,in_flight_bytes,nodes_queued,\
     ram_hits,nodes_read,nodes_read_again,nodes_read_ahead,exchanges_skipped,bytes_read,\
-    bytes_uploaded,reads";
+    bytes_uploaded,reads,rss_bytes";
 
 impl Row {
     fn csv(&self, scan: &str, disk: Disk, caching: Caching) -> String {
@@ -487,6 +488,7 @@ impl Row {
             stats.bytes_read,
             stats.bytes_uploaded,
             self.reads,
+            self.rss_bytes,
         ];
         let scan = scan.replace([',', '"', '\n'], "_");
         let (disk, caching) = (disk.name, caching.name());
@@ -515,7 +517,6 @@ struct Flight {
     frames: Vec<Row>,
     /// Frame, what was shown, what there was to be shown within the room.
     looked_at: Vec<(u32, Picture, Picture)>,
-    peak_rss_bytes: u64,
 }
 
 /// Flies through a store with room for a tenth of it: half of that for what is drawn, half for
@@ -542,7 +543,7 @@ fn fly(
         // Enough for what is under way.
         Caching::KeepsLittle => StreamSettings {
             look_ahead: Duration::ZERO,
-            memory_bytes: limit_bytes / 8,
+            memory_bytes: (limit_bytes / 8).max(4 * largest_node_bytes(store)),
             ..streaming
         },
     });
@@ -558,7 +559,8 @@ fn fly(
         let frame_ms = drawing.frame(&mut renderer, view, &settings)?;
         let seconds = (began.elapsed() - paused).as_secs_f64();
         let (stats, reads) = (renderer.stats().clone(), source.reads());
-        frames.push(Row { frame, seconds, frame_ms, stats, reads });
+        let rss_bytes = rss_bytes().unwrap_or(0);
+        frames.push(Row { frame, seconds, frame_ms, stats, reads, rss_bytes });
         if frame % step == step - 1 {
             // Reading back is no part of the flight.
             let start = Instant::now();
@@ -568,7 +570,6 @@ fn fly(
         let due = began + paused + FRAME_TIME * (frame + 1);
         std::thread::sleep(due.saturating_duration_since(Instant::now()));
     }
-    let peak_rss_bytes = peak_rss_bytes().unwrap_or(0);
     // The same frames with all that has room.
     renderer.set_streaming(StreamSettings { when: StreamWhen::Never, ..streaming });
     let all = FrameSettings { loading: Loading::All, ..settings };
@@ -577,7 +578,7 @@ fn fly(
         drawing.frame(&mut renderer, &views[frame as usize], &all)?;
         looked_at.extend(renderer.read_picture()?.map(|whole| (frame, picture, whole)));
     }
-    Ok(Flight { disk, caching, limit_bytes, scene_bytes, frames, looked_at, peak_rss_bytes })
+    Ok(Flight { disk, caching, limit_bytes, scene_bytes, frames, looked_at })
 }
 
 fn flight_table(flights: &[Flight]) -> String {
@@ -586,7 +587,7 @@ fn flight_table(flights: &[Flight]) -> String {
     let result = writeln!(
         out,
         "Flight: {} frames at 30 a second, {} MiB of {} MiB to draw from and as many beside it\n\
-         {:<16}{:<17}{:>9}{:>9}{:>9}{:>9}{:>9}{:>9}{:>9}{:>9}{:>9}{:>8}{:>9}{:>8}{:>9}{:>9}",
+         {:<16}{:<17}{:>9}{:>9}{:>9}{:>9}{:>9}{:>9}{:>9}{:>9}{:>9}{:>8}{:>9}{:>8}{:>9}{:>11}{:>8}",
         first.frames.len(),
         first.limit_bytes / MIB,
         first.scene_bytes / MIB,
@@ -605,6 +606,7 @@ fn flight_table(flights: &[Flight]) -> String {
         "ram max",
         "waited",
         "skipped",
+        "grown MiB",
         "rmse"
     );
     result.expect("a string takes all text");
@@ -622,7 +624,7 @@ fn flight_table(flights: &[Flight]) -> String {
         let result = writeln!(
             out,
             "{:<16}{:<17}{:>8.1}%{:>8.1}%{:>8.1}%{:>9.1}{:>9.1}{:>9.1}{:>9}{:>9}{:>9}{:>8}{:>8.1}%\
-             {:>8}{:>9}{:>9.2}",
+             {:>8}{:>9}{:>11.1}{:>8.2}",
             flight.disk.name,
             flight.caching.name(),
             100.0 * mean,
@@ -638,16 +640,16 @@ fn flight_table(flights: &[Flight]) -> String {
             100.0 * last.ram_peak_bytes as f64 / flight.limit_bytes.max(1) as f64,
             sum(|stats| stats.nodes_waited_for.into()),
             last.exchanges_skipped,
+            flight.grown_bytes() as f64 / MIB as f64,
             flight.rmse(),
         );
         result.expect("a string takes all text");
     }
-    let peak = flights.iter().map(|flight| flight.peak_rss_bytes).max().unwrap_or(0);
-    out.push_str(&format!(
-        "missing: share of the wanted nodes that have room and are not there; rmse: colour error \
-         of looked-at frames against all that has room; the process took at most {} MiB\n\n",
-        peak / MIB
-    ));
+    out.push_str(
+        "missing: share of the wanted nodes that have room and are not there; grown: resident \
+         memory of the process at its highest against the fifth frame; rmse: colour error of \
+         looked-at frames against all that has room\n\n",
+    );
     out
 }
 
@@ -658,6 +660,12 @@ fn at_share(sorted: &[f64], share: f64) -> f64 {
 }
 
 impl Flight {
+    /// By how much the process grew while it flew, once it had drawn some frames.
+    fn grown_bytes(&self) -> u64 {
+        let most = self.frames.iter().map(|row| row.rss_bytes).max().unwrap_or(0);
+        most - self.frames.get(4).map_or(most, |row| row.rss_bytes)
+    }
+
     fn rmse(&self) -> f64 {
         let errors = self
             .looked_at

@@ -237,3 +237,38 @@ fn an_interrupted_conversion_ends_with_130_and_leaves_nothing() {
     assert!(message.contains("interrupted"), "{message}");
     assert_eq!(listing(folder.path()), [input], "nothing is left behind");
 }
+
+#[test]
+fn a_reader_that_has_seen_enough_is_no_fault() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let scan = folder.path().join("scan.las");
+    write_las(&scan, &points(100));
+    let mut child = Command::new(env!("CARGO_BIN_EXE_esker"))
+        .args(["info", text(&scan)])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    // Closed before a line was read.
+    drop(child.stdout.take());
+    let output = child.wait_with_output().expect("the program ends");
+    assert_eq!(output.status.code(), Some(0));
+    assert_eq!(String::from_utf8_lossy(&output.stderr), "");
+}
+
+#[test]
+fn points_are_added_to_a_store() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let file = |name: &str| folder.path().join(name);
+    write_las(&file("a.las"), &points(3000));
+    write_las(&file("b.las"), &points(700));
+    let (a, b, store) = (file("a.las"), file("b.las"), file("s.esker"));
+    assert!(esker(&["convert", text(&a), "-o", text(&store)]).status.success());
+    let output = esker(&["convert", "--append", text(&store), text(&b), "--json"]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let json: serde_json::Value = serde_json::from_slice(&output.stdout).expect("one object");
+    assert_eq!((json["points"].as_u64(), json["new_points"].as_u64()), (Some(3700), Some(700)));
+    assert!(esker(&["check", text(&store)]).status.success());
+    let both = esker(&["convert", "--append", text(&store), text(&b), "-o", text(&store)]);
+    assert_eq!(both.status.code(), Some(2), "an output and a store to append to");
+}

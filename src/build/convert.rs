@@ -12,7 +12,7 @@ use crate::build::node::TreeRules;
 use crate::build::options::{ConvertOptions, DEPTH_RANGE};
 use crate::build::ordered::Built;
 use crate::build::pages::{PageStore, Slab};
-use crate::build::progress::{Clock, Progress, Stage, StageTime};
+use crate::build::progress::{Clock, Progress, Silent, Stage, StageTime};
 use crate::build::rows::color_offset;
 use crate::build::sources::Sources;
 use crate::build::steps::Steps;
@@ -98,6 +98,13 @@ fn convert_with(
         .build()
         .map_err(|error| temporary("cannot start threads", std::io::Error::other(error), output))?;
     pool.install(|| run(conversion))
+}
+
+/// Where an interrupted conversion to that output keeps what it has done, if it does.
+pub fn kept_work(output: &Path, options: &ConvertOptions) -> Option<PathBuf> {
+    let (progress, cancelled) = (&Silent, &AtomicBool::new(false));
+    let work = Conversion { output, options, progress, cancelled }.work();
+    work.has_state().then(|| work.folder().to_path_buf())
 }
 
 struct Conversion<'a> {

@@ -36,7 +36,7 @@ mod survey;
 mod work;
 
 pub use append::{AppendReport, append};
-pub use convert::{ConvertReport, convert, convert_sources};
+pub use convert::{ConvertReport, convert, convert_sources, kept_work};
 pub use error::BuildError;
 pub use machine::available_memory;
 pub use node::Representative;

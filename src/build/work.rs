@@ -114,6 +114,11 @@ impl Work {
         save().map_err(|e| self.error("cannot save how far the conversion is", e))
     }
 
+    /// Where it is.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
     /// Whether there is something to go on from.
     pub fn has_state(&self) -> bool {
         self.folder.join(STATE).exists()

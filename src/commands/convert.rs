@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use clap::Args;
 
-use crate::build::{self, AppendReport, ConvertOptions, DEPTH_RANGE, Representative};
+use crate::build::{self, AppendReport, BuildError, ConvertOptions, DEPTH_RANGE, Representative};
 use crate::commands::inputs;
 use crate::commands::progress::{ProgressKind, listener};
 use crate::commands::quantities::{parse_bytes, show_bytes};
@@ -101,8 +101,18 @@ pub fn run(args: ConvertArgs) -> anyhow::Result<ExitCode> {
         return tell_append(store, &report, &options, began, args.json);
     }
     let output = args.output.context("an output or a store to append to is needed")?;
-    let report = build::convert(&files, &output, &options, &*progress, &cancelled)?;
+    let outcome = build::convert(&files, &output, &options, &*progress, &cancelled);
     drop(progress);
+    if let (Err(BuildError::Interrupted), Some(kept)) =
+        (&outcome, build::kept_work(&output, &options))
+    {
+        eprintln!(
+            "esker: what is done so far waits in {} (the same command goes on from there, any \
+             other conversion to this output removes it)",
+            kept.display()
+        );
+    }
+    let report = outcome?;
     for warning in &report.warnings {
         eprintln!("esker: {warning}");
     }

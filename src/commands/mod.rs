@@ -3,6 +3,23 @@
 //! Results go to standard output, messages to standard error. Exit codes: 0 done; 1 the input or a
 //! store is bad or the run failed, with one line that says why; 2 wrong usage; 130 interrupted.
 
+/// Like the standard one, but a closed pipe is no panic.
+macro_rules! print {
+    ($($text:tt)*) => {
+        $crate::commands::output::write(format_args!($($text)*))
+    };
+}
+
+/// Like the standard one, but a closed pipe is no panic.
+macro_rules! println {
+    () => {
+        print!("\n")
+    };
+    ($($text:tt)*) => {
+        print!("{}\n", format_args!($($text)*))
+    };
+}
+
 mod bench;
 mod check;
 mod convert;
@@ -10,6 +27,7 @@ mod export;
 mod generate;
 mod info;
 mod inputs;
+mod output;
 mod progress;
 mod quantities;
 mod render;

@@ -11,6 +11,11 @@ override SINGLE_PIXELS: bool = false;
 // Whether of some nodes only a share of the points is drawn. Fixed per pipeline.
 override PARTLY: bool = false;
 
+// Lanes that run side by side: as many as the workgroup has on a GPU, which wants their points side
+// by side; as many as a vector of the processor on software adapters, which run them to their end
+// one vector after the other and want all points of one close together. Fixed per pipeline.
+override LANE_GROUP: u32 = WORKGROUP_SIZE;
+
 @group(1) @binding(2) var<storage, read> batches: array<GpuBatch>;
 
 @compute @workgroup_size(WORKGROUP_SIZE)
@@ -25,37 +30,44 @@ fn draw_points(
     }
     let batch = batches[batch_index];
     let node = nodes[batch.node_slot];
-    for (var point = batch.first_point + lane; point < batch.end_point; point += WORKGROUP_SIZE) {
+    // Groups of lanes take successive points, and each group a run of its own.
+    let rounds = (batch.end_point - batch.first_point + WORKGROUP_SIZE - 1u) / WORKGROUP_SIZE;
+    let group = lane / LANE_GROUP;
+    let first = batch.first_point + group * (LANE_GROUP * rounds) + lane % LANE_GROUP;
+    let end = min(batch.end_point, batch.first_point + (group + 1u) * (LANE_GROUP * rounds));
+    for (var point = first; point < end; point += LANE_GROUP) {
         if PARTLY && !is_kept(node, point) {
             continue;
         }
         let cell = local_cell(node, point);
         let screen = screen_of(eye_relative(node, cell));
         let center = screen.xy * (1.0 / screen.z) + frame.center_px;
-        var size = 1.0;
-        if !SINGLE_PIXELS {
-            size = splat_px(batch.node_slot, node, cell, screen.z);
+        if SINGLE_PIXELS {
+            draw_pixel(floor(center), screen.z, node.colors_at + point);
+            continue;
         }
+        let size = splat_px(batch.node_slot, node, cell, screen.z);
         // Written so that NaN fails too; a pixel more than a splat reaches.
         let reach = vec2<f32>(0.5 * size + 0.5 + f32(frame.nested_splats));
-        let margin = vec2<f32>(f32(frame.grow_margin_px));
-        let inside = all(center > -reach - margin)
-            && all(center < vec2<f32>(frame.target_px) + reach - margin);
+        let inside = all(center > -reach) && all(center < vec2<f32>(frame.target_px) + reach);
         if screen.z >= frame.near && inside {
-            // Where splats are grown, the target begins before the picture.
-            let corner = splat_corner(center, size) + i32(frame.grow_margin_px);
-            if SINGLE_PIXELS || size == 1.0 {
-                draw_pixel(corner, screen.z, node.colors_at + point);
+            if size == 1.0 {
+                draw_pixel(floor(center), screen.z, node.colors_at + point);
             } else {
-                draw_splat(corner, size, screen.z, node.colors_at + point);
+                draw_splat(splat_corner(center, size), size, screen.z, node.colors_at + point);
             }
         }
     }
 }
 
-fn draw_pixel(at: vec2<i32>, distance: f32, color_at: u32) {
-    if all(at >= vec2<i32>(0)) && all(at < vec2<i32>(frame.target_px)) {
-        let pixel = u32(at.y) * frame.target_px.x + u32(at.x);
+fn draw_pixel(at: vec2<f32>, distance: f32, color_at: u32) {
+    // Where splats are grown, the target begins before the picture.
+    let first = vec2<f32>(-f32(frame.grow_margin_px));
+    // Written so that NaN fails too.
+    let inside = all(at >= first) && all(at < vec2<f32>(frame.target_px) + first);
+    if distance >= frame.near && inside {
+        let place = vec2<u32>(at - first);
+        let pixel = place.y * frame.target_px.x + place.x;
         let nearness = ~bitcast<u32>(distance);
         // Most points are hidden: they pay neither for a colour nor for an atomic.
         if !is_hidden(pixel, nearness) {

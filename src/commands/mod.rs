@@ -28,6 +28,7 @@ mod generate;
 mod info;
 mod inputs;
 mod output;
+mod picture_options;
 mod progress;
 mod quantities;
 mod render;

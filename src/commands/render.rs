@@ -19,6 +19,7 @@ use crate::build::{self, ConvertOptions};
 use crate::commands::convert::cancelled_by_signal;
 use crate::commands::info::is_store;
 use crate::commands::inputs;
+use crate::commands::picture_options::{PictureOptions, parse_in_range};
 use crate::commands::progress::{ProgressKind, listener};
 use crate::commands::quantities::{parse_count, parse_picture_size, show_bytes};
 use crate::frame::{ColorMode, FrameError, FrameSettings, NodeSource, Renderer};
@@ -27,7 +28,7 @@ use crate::geometry::{Aabb, Camera, View, ViewPreset};
 use crate::gpu::Gpu;
 use crate::metrics::peak_rss_bytes;
 use crate::passes::Picture;
-use crate::select::{LevelRule, SplatPolicy};
+use crate::select::LevelRule;
 use crate::store::Store;
 
 /// Arguments of `esker render`.
@@ -66,12 +67,8 @@ pub struct RenderArgs {
     /// How points are drawn
     #[arg(long, value_enum, default_value = "auto")]
     renderer: RendererChoice,
-    /// Which level sets the size of a point
-    #[arg(long, value_enum, default_value = "per-point")]
-    splat: SplatChoice,
-    /// Factor on the size of points, 0.5 to 4
-    #[arg(long, default_value_t = 1.0, value_parser = parse_splat_scale)]
-    splat_scale: f64,
+    #[command(flatten)]
+    picture: PictureOptions,
     /// Colour of pixels without a point: #rrggbb, black, white or none (transparent)
     #[arg(long, default_value = "#1a1c20", value_parser = parse_background)]
     background: u32,
@@ -110,18 +107,6 @@ impl RendererChoice {
             RendererChoice::Cpu => Some(RasterPath::Cpu),
         }
     }
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum SplatChoice {
-    /// The node's own
-    Own,
-    /// The deepest complete descendant
-    Paper,
-    /// The node's own unless all wanted children are drawn
-    Conservative,
-    /// The deepest drawn node around each point
-    PerPoint,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -307,13 +292,7 @@ fn frame_settings(
         RuleChoice::ParentEdge => LevelRule::FOUR[2],
         RuleChoice::ParentDiagonal => LevelRule::FOUR[3],
     };
-    settings.cut.splat.multiplier = args.splat_scale;
-    settings.cut.splat.policy = match args.splat {
-        SplatChoice::Own => SplatPolicy::Own,
-        SplatChoice::Paper => SplatPolicy::Paper,
-        SplatChoice::Conservative => SplatPolicy::Conservative,
-        SplatChoice::PerPoint => SplatPolicy::PerPoint,
-    };
+    args.picture.apply(&mut settings);
     Ok(settings)
 }
 
@@ -487,6 +466,8 @@ fn write_stats(
         "target_ms": args.time_ms,
         "rule": settings.cut.rule.name(),
         "splat": settings.cut.splat.policy.name(),
+        "size_mode": settings.cut.splat.size.name(),
+        "point_shape": settings.cut.splat.shape.name(),
         "points": drawing.sources.iter().map(|s| s.octree().point_count()).sum::<u64>(),
         "peak_rss_bytes": peak_rss_bytes(),
     });
@@ -499,15 +480,6 @@ fn write_stats(
         }
     }
     write_whole(path, |file| Ok(serde_json::to_writer_pretty(file, &stats)?))
-}
-
-fn parse_in_range(text: &str, low: f64, high: f64) -> Result<f64, String> {
-    let value: f64 = text.parse().map_err(|_| format!("'{text}' is not a number"))?;
-    // Written so that NaN fails too.
-    match value >= low && value <= high {
-        true => Ok(value),
-        false => Err(format!("{text} is not in {low} to {high}")),
-    }
 }
 
 pub(super) fn parse_error_px(text: &str) -> Result<f64, String> {
@@ -523,10 +495,6 @@ fn parse_time_ms(text: &str) -> Result<f64, String> {
 #[cfg(feature = "viewer")]
 pub(super) fn parse_fps(text: &str) -> Result<f64, String> {
     parse_in_range(text, 1.0, 1000.0)
-}
-
-fn parse_splat_scale(text: &str) -> Result<f64, String> {
-    parse_in_range(text, 0.5, 4.0)
 }
 
 /// A colour as an RGBA8 word.

@@ -28,6 +28,8 @@ pub struct ViewArgs {
     /// What points are coloured by: auto, rgb, elevation, intensity, class, or any attribute
     #[arg(long, default_value = "auto")]
     color: String,
+    #[command(flatten)]
+    picture: crate::commands::picture_options::PictureOptions,
     /// How points are drawn
     #[arg(long, value_enum, default_value = "auto")]
     renderer: crate::commands::render::RendererChoice,
@@ -78,6 +80,7 @@ pub fn run(args: ViewArgs) -> anyhow::Result<ExitCode> {
     };
     frame.cut.error_px = args.error_px;
     frame.target_ms = args.fps.map(|fps| 1e3 / fps);
+    args.picture.apply(&mut frame);
     let exit_after = match args.exit_after.map(Duration::try_from_secs_f64) {
         None => None,
         Some(Ok(time)) => Some(time),

@@ -4,17 +4,16 @@
 use std::sync::Arc;
 
 #[cfg(feature = "gpu")]
+use crate::frame::FrameSettings;
+#[cfg(feature = "gpu")]
 use crate::geometry::View;
 #[cfg(feature = "gpu")]
 use crate::gpu::{Gpu, GpuError, PassTimer, WordArena};
 #[cfg(feature = "gpu")]
 use crate::passes::{
-    DrawCounts, DrawTable, Finish, FinishSettings, PointDrawing, PointsCompute, PointsRaster,
-    Targets,
+    DrawCounts, DrawTable, Finish, PointDrawing, PointsCompute, PointsRaster, Targets,
 };
 use crate::passes::{Picture, PointsCpu};
-#[cfg(feature = "gpu")]
-use crate::select::SplatDrawing;
 
 /// Where points are drawn.
 pub(super) enum Device {
@@ -34,6 +33,8 @@ pub(super) struct OnGpu {
     pub(super) timer: PassTimer,
     pub(super) targets: Option<Targets>,
     pub(super) finish: Finish,
+    /// Whether the last frame wrote depth.
+    pub(super) has_depth: bool,
 }
 
 /// The pass that draws points there.
@@ -49,8 +50,7 @@ impl OnGpu {
         frame: &crate::gpu::layout::GpuFrame,
         table: &DrawTable,
         arena: &WordArena,
-        splat_drawing: SplatDrawing,
-        finish_settings: &FinishSettings,
+        settings: &FrameSettings,
     ) -> Result<DrawCounts, GpuError> {
         let [width_px, height_px] = frame.target_px;
         if !self.targets.as_ref().is_some_and(|targets| targets.fits(width_px, height_px)) {
@@ -61,14 +61,17 @@ impl OnGpu {
         self.timer.begin_frame();
         let gpu = self.gpu.clone();
         let (pass, timer, finish) = (&mut self.pass, &mut self.timer, &mut self.finish);
-        let drawing = PointDrawing { frame, table, arena, targets, splat_drawing };
+        let wants_depth = settings.depth || !settings.finish.is_nothing();
+        self.has_depth = wants_depth || matches!(pass, GpuPass::Raster(_));
+        let splat_drawing = settings.cut.splat.drawing;
+        let drawing = PointDrawing { frame, table, arena, targets, splat_drawing, wants_depth };
         gpu.checked("draw a frame", || {
             let mut encoder = gpu.device().create_command_encoder(&Default::default());
             let counts = match pass {
                 GpuPass::Compute(pass) => pass.draw(&gpu, &mut encoder, timer, &drawing),
                 GpuPass::Raster(pass) => pass.draw(&gpu, &mut encoder, timer, &drawing),
             }?;
-            let finishing = finish.draw(&gpu, &mut encoder, timer, finish_settings, targets)?;
+            let finishing = finish.draw(&gpu, &mut encoder, timer, &settings.finish, targets)?;
             timer.end_frame(&mut encoder);
             gpu.queue().submit([encoder.finish()]);
             timer.after_submit();
@@ -112,7 +115,15 @@ impl OnGpu {
     /// The last picture with its distances, read back.
     pub(super) fn read_picture(&self, near: f32) -> Result<Option<Picture>, GpuError> {
         let Some((colors, depths)) = self.finished() else { return Ok(None) };
-        let distances = depths.read_distances(&self.gpu, near)?;
+        let (width, height) = depths.size_px();
+        let mut distances = match &self.pass {
+            GpuPass::Compute(pass) if !self.finish.fills_gaps() => {
+                pass.distances_of_rows(&self.gpu, 0..height)?
+            }
+            _ => depths.read_distances(&self.gpu, near)?,
+        };
+        // Nothing was drawn.
+        distances.resize(width as usize * height as usize, f32::INFINITY);
         Ok(Some(Picture { distances, ..colors.read_colors(&self.gpu)? }))
     }
 }

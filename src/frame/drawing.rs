@@ -11,7 +11,7 @@ use crate::frame::{FrameError, FrameSettings, Renderer};
 use crate::geometry::View;
 use crate::ids::NodeId;
 use crate::passes::{CloudDraw, NodePlace, NodeWords, Picture, Tile, finish};
-use crate::select::Cut;
+use crate::select::{Cut, SplatSettings, SplatSize};
 use crate::stream::SceneNode;
 
 /// Most pixels of one part of a picture on the CPU.
@@ -19,6 +19,8 @@ const CPU_TILE_PIXELS: u64 = 16 << 20;
 
 impl Renderer {
     pub(super) fn fill_table(&mut self, cuts: &[Cut], view: &View, settings: &FrameSettings) {
+        let splat = self.splat_settings(settings);
+        self.begin_appearing(cuts, settings);
         let cache = &self.cache;
         let place_of = |node: SceneNode| {
             let ready = cache.get(node).expect("drawn nodes are ready");
@@ -35,19 +37,53 @@ impl Renderer {
         let places: Vec<_> = (0..self.sources.len())
             .map(|cloud| move |node: NodeId| place_of((cloud, node)))
             .collect();
+        let appearance = &self.appearance;
+        let shares: Vec<_> = (0..self.sources.len())
+            .map(|cloud| move |node: NodeId| appearance.share((cloud, node)))
+            .collect();
+        let appears = !settings.appear.is_zero();
         let clouds: Vec<_> = self
             .sources
             .iter()
             .zip(cuts)
-            .zip(&places)
-            .map(|((source, cut), place)| CloudDraw {
+            .zip(places.iter().zip(&shares))
+            .map(|((source, cut), (place, share))| CloudDraw {
                 octree: source.octree(),
                 cut,
                 place,
-                appeared: None,
+                appeared: appears.then_some(share as &dyn Fn(NodeId) -> f32),
             })
             .collect();
-        self.table.fill(&clouds, view, &settings.cut.splat);
+        self.table.fill(&clouds, view, &splat);
+    }
+
+    /// The settings of splats with what they leave to the scene.
+    fn splat_settings(&self, settings: &FrameSettings) -> SplatSettings {
+        let mut splat = settings.cut.splat;
+        if let SplatSize::Attenuated { length } = &mut splat.size
+            && *length <= 0.0
+            && self.mean_spacing.is_finite()
+        {
+            *length = self.mean_spacing;
+        }
+        splat
+    }
+
+    fn begin_appearing(&mut self, cuts: &[Cut], settings: &FrameSettings) {
+        let cloud_nodes = |(cloud, cut)| {
+            let cut: &Cut = cut;
+            cut.draw.iter().map(move |drawn| (cloud, drawn.node))
+        };
+        let drawn = cuts.iter().enumerate().flat_map(cloud_nodes);
+        let stands_alone = |(cloud, node): SceneNode| {
+            let parent = self.sources[cloud].octree().node(node).parent;
+            parent.is_none_or(|parent| {
+                cuts[cloud].table.binary_search_by_key(&parent, |row| row.node).is_err()
+            })
+        };
+        let is_held = |node| self.cache.contains(node);
+        self.stats.nodes_appearing =
+            self.appearance.begin_frame(settings.appear, drawn, stands_alone, is_held);
     }
 
     pub(super) fn draw(
@@ -58,7 +94,7 @@ impl Renderer {
     ) -> Result<(), FrameError> {
         let start = Instant::now();
         let mut cpu_times = [("points", 0.0); 2];
-        let frame = tile.gpu_frame(view, &settings.cut.splat, settings.background);
+        let frame = tile.gpu_frame(view, &self.splat_settings(settings), settings.background);
         match &mut self.device {
             Device::Cpu { pass, picture } => {
                 let mut words =
@@ -91,8 +127,7 @@ impl Renderer {
                 let Storage::Device(arena) = self.cache.storage() else {
                     unreachable!("a renderer on a device stores there")
                 };
-                let drawing = settings.cut.splat.drawing;
-                let counts = on_gpu.draw(&frame, &self.table, arena, drawing, &settings.finish)?;
+                let counts = on_gpu.draw(&frame, &self.table, arena, settings)?;
                 self.stats.draw_calls += counts.draw_calls;
                 self.stats.dispatches += counts.dispatches;
                 self.stats.bytes_uploaded += counts.uploaded_bytes;

@@ -16,11 +16,15 @@ impl Renderer {
         }
     }
 
-    /// The reversed-z depth of the last frame on the device.
+    /// The reversed-z depth of the last frame on the device, if the frame wrote it:
+    /// [`FrameSettings::depth`](crate::frame::FrameSettings::depth).
     #[cfg(feature = "gpu")]
     pub fn depth_view(&self) -> Option<&wgpu::TextureView> {
         match &self.device {
-            Device::Gpu(on_gpu) => on_gpu.finished().and_then(|(_, depths)| depths.depth_view()),
+            Device::Gpu(on_gpu) => {
+                let depths = on_gpu.finished().filter(|_| on_gpu.has_depth);
+                depths.and_then(|(_, depths)| depths.depth_view())
+            }
             Device::Cpu { .. } => None,
         }
     }

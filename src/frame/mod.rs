@@ -5,6 +5,7 @@
 //! [`ColorMode`]. A scene that fits the room for it is read in this call, in parallel, all that is
 //! wanted or up to a quota per frame; a larger one comes through [`stream`](crate::stream).
 
+mod appearance;
 mod calibration;
 mod calibration_cloud;
 mod color;

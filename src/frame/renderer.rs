@@ -2,8 +2,9 @@
 
 use std::collections::HashSet;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
+use crate::frame::appearance::Appearance;
 use crate::frame::device::Device;
 #[cfg(feature = "gpu")]
 use crate::frame::device::{GpuPass, OnGpu};
@@ -21,7 +22,7 @@ use crate::ids::NodeId;
 use crate::passes::{DrawTable, Picture, PointsCpu, Tile};
 #[cfg(feature = "gpu")]
 use crate::passes::{Finish, PointsCompute, PointsRaster};
-use crate::select::{Cut, CutScratch};
+use crate::select::{Cut, CutScratch, mean_spacing};
 use crate::stream::SceneNode;
 
 /// Draws a scene from changing views.
@@ -46,6 +47,9 @@ pub struct Renderer {
     pub(super) problems: Vec<String>,
     pub(super) scratch: CutScratch,
     pub(super) table: DrawTable,
+    pub(super) appearance: Appearance,
+    /// Smallest mean spacing of the points of a cloud of the scene; infinite without points.
+    pub(super) mean_spacing: f64,
     pub(super) last: Option<(View, FrameSettings, bool)>,
     pub(super) stats: FrameStats,
     /// Budget of the last frame, which a target time may make smaller than the one asked for.
@@ -66,20 +70,39 @@ impl Renderer {
     /// A renderer on a device; it holds at most `limit_bytes` of points there.
     #[cfg(feature = "gpu")]
     pub fn on_gpu(gpu: Arc<Gpu>, path: RasterPath, limit_bytes: u64) -> Result<Self, FrameError> {
+        let compute = |atomics| -> Result<_, FrameError> {
+            Ok(GpuPass::Compute(Box::new(PointsCompute::new(&gpu, atomics)?)))
+        };
         let pass = match path {
-            RasterPath::Compute => {
-                GpuPass::Compute(Box::new(PointsCompute::new(&gpu, gpu.wide_atomics())?))
-            }
-            RasterPath::Compute32 => {
-                GpuPass::Compute(Box::new(PointsCompute::new(&gpu, PixelAtomics::Narrow)?))
-            }
+            RasterPath::Compute => compute(gpu.wide_atomics())?,
+            RasterPath::Compute32 => compute(PixelAtomics::Narrow)?,
             RasterPath::Raster => GpuPass::Raster(PointsRaster::new(&gpu)?),
             RasterPath::Cpu => return Ok(Renderer::on_cpu(limit_bytes)),
         };
+        Renderer::with_pass(gpu, pass, limit_bytes)
+    }
+
+    /// A renderer by 64-bit atomics whose points do not look whether something nearer was drawn
+    /// before; to measure what that saves.
+    #[cfg(feature = "gpu")]
+    pub fn without_early_out(gpu: Arc<Gpu>, limit_bytes: u64) -> Result<Self, FrameError> {
+        let pass = PointsCompute::new(&gpu, PixelAtomics::WideUnread)?;
+        Renderer::with_pass(gpu, GpuPass::Compute(Box::new(pass)), limit_bytes)
+    }
+
+    #[cfg(feature = "gpu")]
+    fn with_pass(gpu: Arc<Gpu>, pass: GpuPass, limit_bytes: u64) -> Result<Self, FrameError> {
         let timer = PassTimer::new(&gpu)?;
         let finish = Finish::new(&gpu)?;
         let storage = Storage::Device(WordArena::new(&gpu, limit_bytes));
-        let device = Device::Gpu(Box::new(OnGpu { gpu, pass, timer, targets: None, finish }));
+        let device = Device::Gpu(Box::new(OnGpu {
+            gpu,
+            pass,
+            timer,
+            targets: None,
+            finish,
+            has_depth: false,
+        }));
         Ok(Renderer::new(device, storage))
     }
 
@@ -100,6 +123,8 @@ impl Renderer {
             problems: Vec::new(),
             scratch: CutScratch::default(),
             table: DrawTable::default(),
+            appearance: Appearance::default(),
+            mean_spacing: 0.0,
             last: None,
             stats: FrameStats::default(),
             drawn_budget: 0,
@@ -135,7 +160,15 @@ impl Renderer {
         self.failed.clear();
         self.problems.clear();
         self.cache.clear();
+        self.appearance.clear();
+        let spacings = self.sources.iter().map(|source| mean_spacing(source.octree()));
+        self.mean_spacing = spacings.filter(|&spacing| spacing > 0.0).fold(f64::INFINITY, f64::min);
         self.last = None;
+    }
+
+    /// The time that nodes appear by from now on, instead of the clock's; for tests.
+    pub fn pin_time(&mut self, time: Duration) {
+        self.appearance.pinned = Some(time);
     }
 
     /// Replaces the scene by one that shows the same more exactly: where ranges of colours are
@@ -188,7 +221,8 @@ impl Renderer {
             self.shrink_for(error)?;
         }
         self.stats.frame_ms = milliseconds(start);
-        self.last = Some((*view, settings.clone(), self.stats.complete));
+        let is_final = self.stats.complete && self.stats.nodes_appearing == 0;
+        self.last = Some((*view, settings.clone(), is_final));
         Ok(&self.stats)
     }
 

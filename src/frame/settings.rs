@@ -1,5 +1,7 @@
 //! What a frame shall be, and why one was not drawn.
 
+use std::time::Duration;
+
 use crate::frame::ColorMode;
 use crate::geometry::View;
 #[cfg(feature = "gpu")]
@@ -99,6 +101,12 @@ pub struct FrameSettings {
     /// take longer. Default: none. The first frame with a target measures the adapter, which takes
     /// about a second in software.
     pub target_ms: Option<f64>,
+    /// Whether the frame's depth is wanted as a texture, so that other things can be drawn into the
+    /// same picture. Default off: it takes time to write.
+    pub depth: bool,
+    /// Over what time a node appears whose points arrive after the scene was first drawn. Default
+    /// zero: at once.
+    pub appear: Duration,
 }
 
 impl Default for FrameSettings {
@@ -110,6 +118,8 @@ impl Default for FrameSettings {
             loading: Loading::All,
             finish: FinishSettings::default(),
             target_ms: None,
+            depth: false,
+            appear: Duration::ZERO,
         }
     }
 }

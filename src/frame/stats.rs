@@ -20,6 +20,8 @@ pub struct FrameStats {
     pub point_bytes: u64,
     /// Nodes drawn.
     pub nodes_drawn: u32,
+    /// Nodes drawn that are still appearing.
+    pub nodes_appearing: u32,
     /// Draw calls.
     pub draw_calls: u32,
     /// Compute dispatches.

@@ -5,6 +5,8 @@
 
 mod error;
 mod memory;
+mod processor;
 
 pub use error::{Displacement, PictureError, Pixels, compare};
 pub use memory::{peak_rss_bytes, rss_bytes};
+pub use processor::processor_ms;

@@ -108,6 +108,11 @@ impl Finish {
         (of(&self.eye_dome).unwrap_or(depths), depths)
     }
 
+    /// Whether the last frame's gaps were filled, which changes depths.
+    pub fn fills_gaps(&self) -> bool {
+        self.fill_gaps.is_some()
+    }
+
     /// Bytes of textures held on the device.
     pub fn held_bytes(&self) -> u64 {
         let steps = [&self.fill_gaps, &self.eye_dome];

@@ -21,6 +21,8 @@ mod finish;
 #[cfg(feature = "gpu")]
 mod grow;
 #[cfg(feature = "gpu")]
+mod points_bare;
+#[cfg(feature = "gpu")]
 mod points_compute;
 #[cfg(feature = "gpu")]
 mod points_raster;
@@ -49,6 +51,8 @@ pub struct PointDrawing<'a> {
     pub targets: &'a Targets,
     /// How splats that share a size are drawn.
     pub splat_drawing: crate::select::SplatDrawing,
+    /// Whether the depth target is written too, which the rasterizer always does.
+    pub wants_depth: bool,
 }
 
 /// What the commands of one drawing contain.
@@ -64,6 +68,8 @@ pub struct DrawCounts {
 
 #[cfg(feature = "gpu")]
 pub use finish::Finish;
+#[cfg(feature = "gpu")]
+pub use points_bare::PointsBare;
 #[cfg(feature = "gpu")]
 pub use points_compute::PointsCompute;
 #[cfg(feature = "gpu")]

@@ -8,7 +8,7 @@
 
 use std::ops::Range;
 
-use crate::gpu::layout::{GpuBatch, GpuFrame, SQUARE};
+use crate::gpu::layout::{GpuBatch, GpuFrame, SQUARE, WORKGROUP_SIZE};
 use crate::gpu::shader::{self, PixelAtomics};
 use crate::gpu::{Gpu, GpuError, GrowingBuffer, PassTimer, read_buffer};
 use crate::passes::bindings::{
@@ -26,7 +26,9 @@ pub struct PointsCompute {
     /// Those that were needed so far.
     pipelines: Vec<(Variant, wgpu::ComputePipeline)>,
     batch_points: u32,
-    resolve: wgpu::RenderPipeline,
+    lane_group: u32,
+    /// Without depth, with it.
+    resolve: [wgpu::RenderPipeline; 2],
     grow: Option<Grow>,
     frame_layout: wgpu::BindGroupLayout,
     scene_layout: wgpu::BindGroupLayout,
@@ -56,6 +58,8 @@ struct Variant {
 const BATCH_POINTS: u32 = 1024;
 /// Points of a workgroup on a software adapter, which has few cores and pays more per workgroup.
 const SOFTWARE_BATCH_POINTS: u32 = 4096;
+/// Lanes of a vector of the processors that software adapters run on.
+const SOFTWARE_LANE_GROUP: u32 = 8;
 const BATCH_BYTES: u64 = size_of::<GpuBatch>() as u64;
 /// Bytes of a pixel, however its atomics are held.
 const PIXEL_BYTES: u64 = 8;
@@ -83,13 +87,16 @@ impl PointsCompute {
             let resolve_pixels_layout = layout(gpu, "pixels, resolved", &[(fragment, read_only)]);
             let draw_groups = [Some(&frame_layout), Some(&scene_layout), Some(&draw_pixels_layout)];
             let draw_layout = pipeline_layout(gpu, "points", &draw_groups);
-            let batch_points = match gpu.is_software() {
-                true => SOFTWARE_BATCH_POINTS,
-                false => BATCH_POINTS,
+            let (batch_points, lane_group) = match gpu.is_software() {
+                true => (SOFTWARE_BATCH_POINTS, SOFTWARE_LANE_GROUP),
+                false => (BATCH_POINTS, WORKGROUP_SIZE),
             };
             let resolve_groups = [Some(&frame_layout), None, Some(&resolve_pixels_layout)];
             let resolve_layout = pipeline_layout(gpu, "resolve", &resolve_groups);
-            let resolve = covering_pipeline(gpu, &resolve_layout, &resolve_shader, "resolve", true);
+            let resolve =
+                [("resolve_color", false), ("resolve", true)].map(|(entry, has_depth)| {
+                    covering_pipeline(gpu, &resolve_layout, &resolve_shader, entry, has_depth)
+                });
             let storage = wgpu::BufferUsages::STORAGE;
             PointsCompute {
                 atomics,
@@ -97,6 +104,7 @@ impl PointsCompute {
                 draw_layout,
                 pipelines: Vec::new(),
                 batch_points,
+                lane_group,
                 resolve,
                 grow: None,
                 frame_layout,
@@ -223,6 +231,7 @@ impl PointsCompute {
         };
         let resolve_pixels = bind(gpu, &self.resolve_pixels_layout, &[resolved]);
         let (color, depth) = targets.cleared(frame.background);
+        let depth = depth.filter(|_| drawing.wants_depth);
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("resolve"),
             color_attachments: &[Some(color)],
@@ -230,7 +239,7 @@ impl PointsCompute {
             timestamp_writes: timer.render_pass("resolve"),
             ..Default::default()
         });
-        pass.set_pipeline(&self.resolve);
+        pass.set_pipeline(&self.resolve[usize::from(drawing.wants_depth)]);
         pass.set_bind_group(0, &frame_group, &[]);
         pass.set_bind_group(2, &resolve_pixels, &[]);
         pass.draw(0..3, 0..1);
@@ -282,6 +291,7 @@ impl PointsCompute {
                     ("SINGLE_PIXELS", f64::from(variant.single_pixels)),
                     ("PARTLY", f64::from(variant.partly)),
                     ("SPLAT_SHAPE", f64::from(variant.shape)),
+                    ("LANE_GROUP", f64::from(self.lane_group)),
                 ];
                 if self.atomics == PixelAtomics::Narrow {
                     constants.push(("COLOR_PASS", f64::from(color_pass)));

@@ -11,6 +11,7 @@
 use glam::DVec3;
 
 use crate::geometry::View;
+use crate::octree::LevelIndex;
 
 /// Whose finest cell is compared with the wanted error before a node is drawn.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -102,6 +103,27 @@ pub fn required_level(coarsest_px: f64, wanted_px: f64, depth: u32) -> u32 {
     depth
 }
 
+/// Leading points of a node whose cells appear as large as wanted, between levels: how many may be
+/// drawn, and the share of these that is.
+///
+/// At the distances at which [`required_level`] changes half of the next level is drawn, so that
+/// the number of points passes from level to level without a step.
+pub fn continuous_prefix(levels: &LevelIndex, coarsest_px: f64, wanted_px: f64) -> (u32, f32) {
+    let totals = levels.totals();
+    let all = (totals.last().copied().unwrap_or(0), 1.0);
+    let wanted_level = (coarsest_px / wanted_px).log2() + 0.5;
+    if wanted_level.is_nan() || wanted_level >= totals.len() as f64 - 1.0 {
+        return all;
+    }
+    if wanted_level <= 0.0 {
+        return (totals[0], 1.0);
+    }
+    let below = wanted_level.floor() as usize;
+    let [coarse, fine] = [totals[below], totals[below + 1]];
+    let points = f64::from(coarse) + f64::from(fine - coarse) * wanted_level.fract();
+    (fine, (points / f64::from(fine.max(1))) as f32)
+}
+
 /// Smallest cosine of the angle off the image axis over the visible part of a sphere.
 ///
 /// `center` is relative to the eye. Distances are multiplied by its square where the off-axis
@@ -164,6 +186,25 @@ mod tests {
                 prop_assert!(-inside.z / inside.length() >= bound - 1e-12);
             }
         }
+    }
+
+    #[test]
+    fn between_levels_points_come_little_by_little() {
+        let levels = LevelIndex::new(vec![1, 4, 16, 64]).expect("valid");
+        let points = |coarsest_px| {
+            let (count, share) = continuous_prefix(&levels, coarsest_px, 1.0);
+            f64::from(count) * f64::from(share)
+        };
+        assert_eq!([points(0.1), points(100.0), points(f64::INFINITY)], [1.0, 64.0, 64.0]);
+        let mut before = 1.0;
+        for step in 0..400 {
+            let now = points(0.5 * 1.01f64.powi(step));
+            assert!(now >= before && now <= before * 1.05, "{before} then {now}");
+            before = now;
+        }
+        assert_eq!(before, 64.0);
+        // Where the plain rule steps from level 1 to level 2, half of level 2 is drawn.
+        assert!((points(2.0) - 10.0).abs() < 1e-3, "{}", points(2.0));
     }
 
     #[test]

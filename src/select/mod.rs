@@ -13,4 +13,6 @@ pub use cut::{
     Residency, select_nodes, select_scene,
 };
 pub use level::{CellSpan, LevelRule, RuleCell, off_axis_cosine, projected_px, required_level};
-pub use splat::{DrawnRow, SplatDrawing, SplatPolicy, SplatSettings, SplatShape, SplatSize};
+pub use splat::{
+    DrawnRow, SplatDrawing, SplatPolicy, SplatSettings, SplatShape, SplatSize, mean_spacing,
+};

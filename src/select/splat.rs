@@ -9,7 +9,7 @@
 //! After: the Instant Points chapter, 6.5.3; the variants but `Paper` are ours.
 
 use crate::ids::NodeId;
-use crate::octree::Octree;
+use crate::octree::{Node, Octree};
 use crate::select::cut::Cut;
 
 /// Which drawn level sets the size of a point's splat.
@@ -56,7 +56,7 @@ pub enum SplatSize {
     },
     /// The same in the world everywhere, smaller far away.
     Attenuated {
-        /// Side, metres.
+        /// Side, metres; 0: the mean spacing of the scene's points.
         length: f64,
     },
 }
@@ -142,6 +142,21 @@ impl Default for SplatSettings {
             max_px: 24.0,
             drawing: SplatDrawing::default(),
         }
+    }
+}
+
+/// Mean spacing of a cloud's points where they are densest in each place, metres; 0 without
+/// points.
+pub fn mean_spacing(octree: &Octree) -> f64 {
+    let leaves = || octree.nodes().iter().filter(|node| node.child_mask == 0);
+    let points: u64 = leaves().map(|node| u64::from(node.point_count())).sum();
+    let weighted = |node: &Node| {
+        let edge = octree.cell_size(node.depth).max_element();
+        f64::from(node.point_count()) * edge * node.levels.surface_spacing()
+    };
+    match points {
+        0 => 0.0,
+        _ => leaves().map(weighted).sum::<f64>() / points as f64,
     }
 }
 
@@ -306,7 +321,7 @@ fn drawn_children(row: &DrawnRow) -> std::ops::Range<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::octree::{LevelIndex, Node, RootCube};
+    use crate::octree::{LevelIndex, RootCube};
     use crate::points::Lattice;
     use crate::select::{DrawNode, Request};
     use glam::{DVec3, I64Vec3, UVec3};

@@ -474,7 +474,7 @@ impl Viewer {
                     let has_preview = self.files.iter().any(|f| f.kept_in == KeptIn::Preview);
                     self.reach(if has_preview { "preview" } else { "scene" });
                 }
-                if !self.drawn.complete {
+                if !self.drawn.complete || self.drawn.nodes_appearing > 0 {
                     ctx.request_repaint();
                 }
                 for problem in self.drawn.problems.clone() {

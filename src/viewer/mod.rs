@@ -9,6 +9,7 @@ mod camera_control;
 mod canvas;
 mod kept;
 mod keys;
+mod look_panel;
 mod opening;
 mod panels;
 mod preview;

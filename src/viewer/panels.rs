@@ -8,11 +8,11 @@ use egui::{Align2, Area, Color32, ComboBox, Grid, Id, ProgressBar, Rect, RichTex
 use crate::frame::{ColorMode, FrameSettings, NodeSource};
 use crate::geometry::ViewPreset;
 use crate::points::names;
-use crate::select::{LevelRule, SplatPolicy};
+use crate::select::LevelRule;
 use crate::store::Metadata;
-use crate::viewer::keys;
 use crate::viewer::opening::{Advance, KeptIn, OpenedFile};
 use crate::viewer::statistics::Statistics;
+use crate::viewer::{keys, look_panel};
 
 /// Range of the budget slider, points.
 const BUDGETS: std::ops::RangeInclusive<u64> = 10_000..=100_000_000;
@@ -157,27 +157,17 @@ pub fn settings(ui: &mut Ui, settings: &mut FrameSettings, colors: &[ColorMode])
             .on_hover_text("The node that no longer fits draws the levels that do.");
         ui.end_row();
 
-        ui.label("Splats").on_hover_text("Which drawn level sets the size of a point.");
-        ComboBox::from_id_salt("splat").selected_text(cut.splat.policy.name()).show_ui(ui, |ui| {
-            for policy in SplatPolicy::ALL {
-                ui.selectable_value(&mut cut.splat.policy, policy, policy.name());
-            }
-        });
-        ui.end_row();
-
-        ui.label("Splat size");
-        ui.add(Slider::new(&mut cut.splat.multiplier, 0.5..=4.0).logarithmic(true).suffix(" x"));
-        ui.end_row();
-
-        ui.label("At most");
-        ui.add(Slider::new(&mut cut.splat.max_px, 1.0..=64.0).logarithmic(true).suffix(" px"));
-        ui.end_row();
-
         ui.label("");
         ui.checkbox(&mut cut.cull_frustum, "drop what is out of sight")
             .on_hover_text("Off only to see what it saves.");
         ui.end_row();
+
+        ui.label("");
+        ui.checkbox(&mut cut.continuous, "pass levels continuously")
+            .on_hover_text("Nodes come and go by shares of their points as the camera moves.");
+        ui.end_row();
     });
+    look_panel::look(ui, settings);
     if ui.button("Defaults").clicked() {
         let FrameSettings { color, background, loading, .. } = settings.clone();
         *settings = FrameSettings { color, background, loading, ..FrameSettings::default() };

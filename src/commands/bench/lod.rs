@@ -4,17 +4,21 @@
 //! budget, so that only the choice of levels counts. *Sizes*: the four splat policies at rising
 //! budgets, the default rule at 1 pixel. *Approach*: the rules at 1 pixel while the whole cloud
 //! recedes, because the largest spacing that a rule accepts occurs only at some distances. Points and nodes repeat on any
-//! machine; times are the least of two warm frames and compare within one run only.
+//! machine; times are the least of two warm frames and compare within one run only. Two more
+//! pairs of studies stand in `options` and `paths`.
 
 use std::fmt::Write;
 use std::path::Path;
 use std::sync::Arc;
 
+use clap::ValueEnum;
 use serde::Serialize;
 
 use crate::build::available_memory;
+#[cfg(feature = "gpu")]
+use crate::commands::bench::paths;
 use crate::commands::bench::plot::{Panel, Scale, Series, svg};
-use crate::commands::bench::{BenchArgs, cameras, machine, open_all, write_file};
+use crate::commands::bench::{BenchArgs, cameras, machine, open_all, options, write_file};
 use crate::frame::{ColorMode, FrameSettings, NodeSource, Renderer, reference_picture};
 use crate::geometry::View;
 use crate::metrics::{PictureError, Pixels, compare};
@@ -61,6 +65,24 @@ impl Study {
 
 const CSV_HEADER: &str = "scan,view,study,rule,splats,error_px,point_budget,points_drawn,\
     nodes_drawn,select_ms,frame_ms,hole_fraction,excess_fraction,rmse,ssim";
+
+/// The parts of the suite that can be run alone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum StudyChoice {
+    /// Rules, sizes and approach: errors against points drawn
+    Errors,
+    /// Ways to show points: what each costs and changes
+    Options,
+    /// Ways to draw points: what each costs
+    Paths,
+}
+
+impl BenchArgs {
+    /// Whether a study is to be run.
+    fn wants(&self, study: StudyChoice) -> bool {
+        self.study.is_empty() || self.study.contains(&study)
+    }
+}
 
 /// What is tried.
 struct Plan {
@@ -109,17 +131,28 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
             "{name}: {points} points, {nodes} nodes; {width}x{height}, drawn by {}\n",
             machine()
         );
-        let rows = measure(&name, Arc::new(store), &plan)?;
-        rows.iter().for_each(|row| write_csv_row(&mut csv, row));
-        print!("{}", rules_by_view(&rows, Study::Rules));
-        print!("{}", rules_by_view(&rows, Study::Approach));
-        print!("{}", means(&rows, Study::Rules));
-        print!("{}", means(&rows, Study::Sizes));
-        print!("{}", draw_economy(&rows));
-        write_plot(&args.output, &name, &rows)?;
+        let source: Arc<dyn NodeSource> = Arc::new(store);
+        if args.wants(StudyChoice::Errors) {
+            let rows = measure(&name, Arc::clone(&source), &plan)?;
+            rows.iter().for_each(|row| write_csv_row(&mut csv, row));
+            print!("{}", rules_by_view(&rows, Study::Rules));
+            print!("{}", rules_by_view(&rows, Study::Approach));
+            print!("{}", means(&rows, Study::Rules));
+            print!("{}", means(&rows, Study::Sizes));
+            print!("{}", draw_economy(&rows));
+            write_plot(&args.output, &name, &rows)?;
+        }
+        if args.wants(StudyChoice::Options) {
+            options::run(args, &name, Arc::clone(&source))?;
+        }
+        #[cfg(feature = "gpu")]
+        if args.wants(StudyChoice::Paths) {
+            paths::run(args, &name, Arc::clone(&source))?;
+        }
     }
-    let path = args.output.join("lod.csv");
-    write_file(&path, &csv)?;
+    if args.wants(StudyChoice::Errors) {
+        write_file(&args.output.join("lod.csv"), &csv)?;
+    }
     println!("rows and plots are in {}", args.output.display());
     Ok(())
 }
@@ -246,7 +279,7 @@ fn draw(renderer: &mut Renderer, view: &View, settings: &FrameSettings) -> anyho
     Ok(Drawn { picture, points_drawn, nodes_drawn, select_ms, frame_ms })
 }
 
-fn pixels(picture: &Picture) -> Pixels<'_> {
+pub(super) fn pixels(picture: &Picture) -> Pixels<'_> {
     Pixels { width_px: picture.width_px, colors: &picture.colors, distances: &picture.distances }
 }
 
@@ -486,7 +519,7 @@ fn budget_name(point_budget: u64) -> String {
 }
 
 /// A count in thousands or millions.
-fn count(points: f64) -> String {
+pub(super) fn count(points: f64) -> String {
     match points {
         p if p < 9_995.0 => format!("{p:>7.0}"),
         p if p < 999_500.0 => format!("{:>6.0}k", p / 1e3),
@@ -494,6 +527,6 @@ fn count(points: f64) -> String {
     }
 }
 
-fn percent(share: f64) -> String {
+pub(super) fn percent(share: f64) -> String {
     format!("{:.3} %", 100.0 * share)
 }

@@ -5,8 +5,13 @@ mod cameras;
 mod convert;
 mod limits;
 mod lod;
+mod options;
+#[cfg(feature = "gpu")]
+mod paths;
 mod plot;
 mod slow_bytes;
+mod stability;
+mod stability_sets;
 mod stream;
 
 use std::path::{Path, PathBuf};
@@ -40,6 +45,9 @@ pub struct BenchArgs {
     /// Size of the pictures [default: 1280x720, with --quick 640x360]
     #[arg(long, value_name = "WxH", value_parser = parse_picture_size)]
     size: Option<(u32, u32)>,
+    /// lod: only these studies [default: all]
+    #[arg(long, value_enum, value_delimiter = ',')]
+    study: Vec<lod::StudyChoice>,
     /// convert: most memory to use, such as 2GiB [default: half of what there is]
     #[arg(long, value_parser = parse_bytes)]
     memory: Option<u64>,
@@ -50,6 +58,8 @@ pub struct BenchArgs {
 enum Suite {
     /// Level of detail: points drawn and time against holes, colour error and similarity
     Lod,
+    /// Places and pixels against f64 as offsets, extents, near planes and angles grow extreme
+    Stability,
     /// Conversion: the time of its stages against what the machine allows
     Convert,
     /// Streaming: time to the first and to the whole picture from slow disks, a flight through
@@ -65,6 +75,7 @@ pub fn run(args: BenchArgs) -> anyhow::Result<ExitCode> {
         Suite::Lod => lod::run(&args)?,
         Suite::Convert => convert::run(&args)?,
         Suite::Stream => stream::run(&args)?,
+        Suite::Stability => stability::run(&args)?,
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -8,6 +8,8 @@ pub mod layout;
 #[cfg(feature = "gpu")]
 mod arena;
 #[cfg(feature = "gpu")]
+mod bandwidth;
+#[cfg(feature = "gpu")]
 mod device;
 #[cfg(feature = "gpu")]
 mod growing_buffer;
@@ -20,6 +22,8 @@ mod timing;
 
 #[cfg(feature = "gpu")]
 pub use arena::{WordArena, WordRange};
+#[cfg(feature = "gpu")]
+pub use bandwidth::copy_bandwidth;
 #[cfg(feature = "gpu")]
 pub use device::{Gpu, GpuError, adapter_preference, wanted_features, wanted_limits};
 #[cfg(feature = "gpu")]

@@ -20,7 +20,7 @@ use crate::commands::bench::{BenchArgs, cameras, write_file};
 use crate::frame::{FrameSettings, NodeSource, RasterPath, Renderer};
 use crate::geometry::{MortonKey, View};
 use crate::gpu::layout::GpuNode;
-use crate::gpu::{Gpu, PassTimer};
+use crate::gpu::{Gpu, PassTimer, copy_bandwidth};
 use crate::metrics::processor_ms;
 use crate::passes::splat::local_cell;
 use crate::passes::{Picture, PointsBare, Tile};
@@ -111,7 +111,7 @@ pub fn run(args: &BenchArgs, name: &str, source: Arc<dyn NodeSource>) -> anyhow:
     let plan = Plan::new(args);
     let mut rows = Vec::new();
     println!("Ways of drawing on {}, at most {} points a frame", gpu.description(), plan.budget);
-    let copy_gb_s = copy_bandwidth(&gpu, plan.copy_bytes)?;
+    let copy_gb_s = 1e-9 * copy_bandwidth(&gpu, plan.copy_bytes)?;
     println!("copying from buffer to buffer: {copy_gb_s:.1} GB/s read\n");
     for (view_name, view) in cameras::views_of(source.as_ref(), plan.size)? {
         if plan.views.contains(&view_name.as_str()) {
@@ -145,31 +145,6 @@ pub fn run(args: &BenchArgs, name: &str, source: Arc<dyn NodeSource>) -> anyhow:
     rows.iter().for_each(|row| write_csv_row(&mut csv, row));
     write_file(&args.output.join(format!("lod-paths-{name}.csv")), &csv)?;
     write_plot(&args.output, name, &rows)
-}
-
-/// Bytes per second that a copy between two buffers reads.
-fn copy_bandwidth(gpu: &Gpu, bytes: u64) -> anyhow::Result<f64> {
-    let buffer = |usage| {
-        gpu.checked("hold the bytes that are copied", || {
-            gpu.device().create_buffer(&wgpu::BufferDescriptor {
-                label: Some("copied"),
-                size: bytes,
-                usage: usage | wgpu::BufferUsages::COPY_DST,
-                mapped_at_creation: false,
-            })
-        })
-    };
-    let (from, to) = (buffer(wgpu::BufferUsages::COPY_SRC)?, buffer(wgpu::BufferUsages::empty())?);
-    let mut least = f64::INFINITY;
-    for _ in 0..5 {
-        let start = Instant::now();
-        let mut encoder = gpu.device().create_command_encoder(&Default::default());
-        encoder.copy_buffer_to_buffer(&from, 0, &to, 0, bytes);
-        gpu.queue().submit([encoder.finish()]);
-        gpu.wait()?;
-        least = least.min(start.elapsed().as_secs_f64());
-    }
-    Ok(bytes as f64 / least * 1e-9)
 }
 
 /// A way of drawing.

@@ -200,3 +200,25 @@ fn frames_are_measured_without_waiting_for_them() {
     assert!(last.frames_learned + last.frames_together > 0, "{last:?}");
     assert!(last.checked_measured_ms.is_some_and(|ms| ms > 0.0), "{last:?}");
 }
+
+/// Pixels known before drawing against those that are tested, over distances, budgets, sizes.
+#[test]
+fn estimated_pixels_are_near_the_counted_ones() {
+    let mut renderer = renderer();
+    let (mut squares, mut frames, mut ratios) = (0.0, 0.0, 0.0);
+    for step in 0..60 {
+        let mut settings = settings(None);
+        settings.cut.point_budget = 2_000 << (step % 5);
+        settings.cut.splat.multiplier = [1.0, 1.5, 2.5][step as usize % 3];
+        let work = renderer.time_frame(&view(step), &settings).expect("it draws").work;
+        let counted = renderer.count_work(&view(step), &settings).expect("the CPU has the points");
+        assert_eq!(work.transformed, counted.points as f64);
+        let ratio = work.pixels / counted.pixels.max(1) as f64;
+        println!("{step}: {:.0} estimated, {} counted, {ratio:.2}", work.pixels, counted.pixels);
+        squares += (ratio - 1.0).powi(2);
+        ratios += ratio;
+        frames += 1.0;
+    }
+    let (rms, mean) = ((squares / frames as f64).sqrt(), ratios / frames);
+    assert!(rms < 0.25 && (0.8..1.25).contains(&mean), "{rms} {mean}");
+}

@@ -21,7 +21,7 @@ fn timed_objects(queue: Option<u32>) -> Vec<Sample> {
             normal: DVec3::Z,
         };
         let facets = (0..count).map(facet).collect();
-        let object = ProceduralObject { center: DVec3::ZERO, radius: 1.0, facets };
+        let object = ProceduralObject::new(DVec3::ZERO, 1.0, facets);
         let px_m2 = 60.0 * (1.3 * random.bell()).exp();
         object.exact_sample(DVec3::Z, px_m2, TwoStagePipeline { queue })
     };

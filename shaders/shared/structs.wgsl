@@ -42,3 +42,19 @@ struct GpuBatch {
     first_point: u32,
     end_point: u32,
 }
+
+struct GpuCheckpoint {
+    first_stamp: u32,
+    last_stamp: u32,
+    alternative_count: u32,
+    dispatch_count: u32,
+    allowed_low: u32,
+    allowed_high: u32,
+}
+
+struct GpuDispatch {
+    alternative: u32,
+    x: u32,
+    y: u32,
+    z: u32,
+}

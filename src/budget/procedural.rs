@@ -38,7 +38,10 @@ pub struct ProceduralObject {
     /// Radius of its bounding sphere.
     pub radius: f64,
     /// Its triangles in drawing order.
-    pub facets: Vec<Facet>,
+    facets: Vec<Facet>,
+    /// Sums over the triangles: vertices and square metres.
+    transformed: f64,
+    area: f64,
 }
 
 /// What is made.
@@ -100,7 +103,7 @@ impl ProceduralScene {
                         [(i % 5) as usize],
                 };
                 let facets = (0..5 * floors).map(wall).collect();
-                ProceduralObject { center, radius: 0.6 * height + 6.0, facets }
+                ProceduralObject::new(center, 0.6 * height + 6.0, facets)
             }
             ProceduralScene::Forest => {
                 let height = random.between(6.0, 18.0);
@@ -117,7 +120,7 @@ impl ProceduralScene {
                     }
                 };
                 let facets = (0..leaves).map(leaf).collect();
-                ProceduralObject { center, radius: 0.55 * height, facets }
+                ProceduralObject::new(center, 0.55 * height, facets)
             }
             ProceduralScene::Terrain => {
                 let across = f64::from(count).sqrt().ceil().max(1.0);
@@ -126,13 +129,20 @@ impl ProceduralScene {
                 let center = DVec3::new(column.floor() + 0.5, row.floor() + 0.5, 0.0) * tile;
                 let area = tile * tile / 2000.0;
                 let facet = Facet { transformed: 0.55, area, normal: DVec3::Z };
-                ProceduralObject { center, radius: 0.75 * tile, facets: vec![facet; 2000] }
+                ProceduralObject::new(center, 0.75 * tile, vec![facet; 2000])
             }
         }
     }
 }
 
 impl ProceduralObject {
+    /// An object of some triangles.
+    pub fn new(center: DVec3, radius: f64, facets: Vec<Facet>) -> Self {
+        let transformed = facets.iter().map(|facet| facet.transformed).sum();
+        let area = facets.iter().map(|facet| facet.area).sum();
+        ProceduralObject { center, radius, facets, transformed, area }
+    }
+
     /// True time seen from a direction, where a square metre facing the eye covers `px_m2` pixels.
     fn time_ms(&self, to_eye: DVec3, px_m2: f64, pipeline: TwoStagePipeline) -> f64 {
         let triangles = self.facets.iter().map(|facet| Triangle {
@@ -171,8 +181,7 @@ impl ProceduralObject {
         }
         let sphere_area = std::f64::consts::PI * self.radius * self.radius;
         // A facet shows a quarter of its area on the average over all directions.
-        let area: f64 = self.facets.iter().map(|facet| 0.25 * facet.area).sum();
-        self.counts(visible_px * area / sphere_area)
+        self.counts(visible_px * 0.25 * self.area / sphere_area)
     }
 
     /// A sample with the pixels that are really drawn.
@@ -190,7 +199,7 @@ impl ProceduralObject {
             triangles,
             polygons: triangles,
             vertices: 3.0 * triangles,
-            transformed: self.facets.iter().map(|facet| facet.transformed).sum(),
+            transformed: self.transformed,
             pixels,
             switches: 0.0,
         }

@@ -196,8 +196,9 @@ impl Drawing {
     }
 }
 
+/// The renderer of a choice, and its adapter in words.
 #[cfg(feature = "gpu")]
-fn open_renderer(
+pub(super) fn open_renderer(
     choice: RendererChoice,
     limit_bytes: u64,
 ) -> anyhow::Result<(Renderer, Option<String>)> {
@@ -222,8 +223,9 @@ fn open_renderer(
     }
 }
 
+/// The renderer of a choice, and its adapter in words.
 #[cfg(not(feature = "gpu"))]
-fn open_renderer(
+pub(super) fn open_renderer(
     choice: RendererChoice,
     limit_bytes: u64,
 ) -> anyhow::Result<(Renderer, Option<String>)> {

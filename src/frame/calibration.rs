@@ -9,11 +9,12 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use crate::budget::{
-    CostModel, FrameModel, Heuristic, OverlapSample, Sample, SystemNoise, quantile,
+    CostModel, FrameModel, Heuristic, OverlapSample, Sample, SystemNoise, Workload, quantile,
 };
 use crate::frame::calibration_cloud::{CalibrationCloud, EDGE};
 use crate::frame::device::Device;
 use crate::frame::renderer::milliseconds;
+use crate::frame::settings::check_view;
 use crate::frame::{FrameError, FrameSettings, Renderer};
 use crate::geometry::{Camera, View};
 use crate::passes::Tile;
@@ -58,12 +59,17 @@ const CONFIDENCE: f64 = 0.99;
 #[cfg(feature = "gpu")]
 const UPLOAD_BYTES: usize = 4 << 20;
 
-/// The times of one frame.
-#[derive(Clone, Copy, Debug)]
-struct Timed {
-    points_ms: f64,
-    cpu_ms: f64,
-    total_ms: f64,
+/// The times of one frame that was waited for, and what was drawn. Loading does not count.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FrameTime {
+    /// Counts known before drawing.
+    pub work: Workload,
+    /// The passes that draw points, by the GPU's clock where it has one, milliseconds.
+    pub points_ms: f64,
+    /// Until the commands were handed over, milliseconds.
+    pub cpu_ms: f64,
+    /// Until all was done, milliseconds.
+    pub total_ms: f64,
 }
 
 /// Distance as a multiple of the one that fits the picture, budget in nodes, factor on splats.
@@ -109,11 +115,11 @@ impl Renderer {
                 let mut times = Vec::new();
                 while times.len() < FRAMES.0
                     || times.len() < FRAMES.1
-                        && times.iter().map(|t: &Timed| t.points_ms).sum::<f64>() < ENOUGH_MS
+                        && times.iter().map(|t: &FrameTime| t.points_ms).sum::<f64>() < ENOUGH_MS
                 {
                     times.push(twin.time_frame(&view, &settings)?);
                 }
-                let work = twin.trial_workload(&view, &settings);
+                let work = times[0].work;
                 samples.push((work, median(&times, |t| t.points_ms)));
                 if design == (1.0, 21, 1.0) {
                     overlap.push(twin.overlap_sample(&view, &settings, &times)?);
@@ -164,8 +170,15 @@ impl Renderer {
         (0..2).try_for_each(|_| self.time_frame(view, settings).map(drop))
     }
 
-    /// Draws a frame and waits for it.
-    fn time_frame(&mut self, view: &View, settings: &FrameSettings) -> Result<Timed, FrameError> {
+    /// Draws a frame and waits for it; for measurements.
+    pub fn time_frame(
+        &mut self,
+        view: &View,
+        settings: &FrameSettings,
+    ) -> Result<FrameTime, FrameError> {
+        check_view(view)?;
+        self.last = None;
+        let work = self.trial_workload(view, settings);
         let start = Instant::now();
         self.prepare(view, settings, settings)?;
         self.draw(view, Tile::whole(view), settings)?;
@@ -181,7 +194,7 @@ impl Renderer {
             Device::Cpu { .. } => {
                 let drawing_ms = spent(self, "points") + spent(self, "resolve");
                 let points_ms = spent(self, "points");
-                Ok(Timed { points_ms, cpu_ms: cpu_ms - drawing_ms, total_ms: cpu_ms })
+                Ok(FrameTime { work, points_ms, cpu_ms: cpu_ms - drawing_ms, total_ms: cpu_ms })
             }
             #[cfg(feature = "gpu")]
             Device::Gpu(on_gpu) => {
@@ -193,7 +206,7 @@ impl Renderer {
                     // Without the GPU's clock, the time from the last command to its end.
                     None => total_ms - cpu_ms,
                 };
-                Ok(Timed { points_ms, cpu_ms, total_ms })
+                Ok(FrameTime { work, points_ms, cpu_ms, total_ms })
             }
         }
     }
@@ -204,7 +217,7 @@ impl Renderer {
         &mut self,
         view: &View,
         settings: &FrameSettings,
-        alone: &[Timed],
+        alone: &[FrameTime],
     ) -> Result<OverlapSample, FrameError> {
         let cpu_ms = median(alone, |t| t.cpu_ms);
         let gpu_ms = median(alone, |t| t.total_ms - t.cpu_ms);
@@ -278,6 +291,6 @@ fn careful_guess() -> CostModel {
     CostModel { vertex_ms: 1e-4, pixel_ms: 1e-5, draw_ms: 1e-2, ..CostModel::free(Heuristic::Sum) }
 }
 
-fn median(times: &[Timed], of: impl Fn(&Timed) -> f64) -> f64 {
+fn median(times: &[FrameTime], of: impl Fn(&FrameTime) -> f64) -> f64 {
     quantile(&times.iter().map(of).collect::<Vec<_>>(), 0.5).unwrap_or(0.0)
 }

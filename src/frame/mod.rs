@@ -5,10 +5,13 @@
 //! [`ColorMode`]. A scene that fits the room for it is read in this call, in parallel, all that is
 //! wanted or up to a quota per frame; a larger one comes through [`stream`](crate::stream).
 
+#[cfg(feature = "gpu")]
+mod alternative;
 mod appearance;
 mod calibration;
 mod calibration_cloud;
 mod color;
+mod counted;
 mod device;
 mod drawing;
 mod last_frame;
@@ -25,11 +28,12 @@ mod stats;
 mod streaming;
 mod workload;
 
-pub use calibration::Calibration;
+pub use calibration::{Calibration, FrameTime};
 pub use color::{ColorMode, class_color};
+pub use counted::CountedWork;
 pub use pacing::PacingStats;
 pub use reference::reference_picture;
 pub use renderer::Renderer;
-pub use settings::{FrameError, FrameSettings, Loading, RasterPath};
+pub use settings::{FrameError, FrameSettings, InFrameCheckpoint, Loading, RasterPath};
 pub use source::{FIRST_PICTURE_BYTES, NodeSource};
 pub use stats::{FrameStats, PassTime};

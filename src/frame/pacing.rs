@@ -45,6 +45,8 @@ pub struct PacingStats {
     pub planning_ms: f64,
     /// Of the latest frame whose clock was read: what was expected of its points.
     pub checked_predicted_ms: Option<f64>,
+    /// The same with the share for safety.
+    pub checked_safe_ms: Option<f64>,
     /// And what they took.
     pub checked_measured_ms: Option<f64>,
     /// Frames from which each price was learned by itself so far.
@@ -57,6 +59,8 @@ pub struct PacingStats {
     pub calibrations: u32,
     /// Times that predictions had missed to one side for long and learning began anew.
     pub restarts: u32,
+    /// Frames that decided half-way to draw the coarser cut, so far.
+    pub frames_cut_short: u64,
     /// Waits for the GPU in this frame.
     pub blocking_waits: u64,
 }
@@ -65,7 +69,9 @@ pub struct PacingStats {
 #[derive(Debug)]
 pub(super) struct Pacer {
     calibration: Calibration,
-    online: OnlineModel,
+    pub(super) online: OnlineModel,
+    /// What the GPU may take in the frame that is being drawn, milliseconds.
+    pub(super) gpu_ms: f64,
     /// What fitted the last frame.
     last_budget: Option<u64>,
     /// Nodes and pixels per point of the last cut.
@@ -79,7 +85,7 @@ pub(super) struct Pacer {
     #[cfg(feature = "gpu")]
     under_way: VecDeque<UnderWay>,
     /// The frame that is being drawn.
-    next: Option<UnderWay>,
+    pub(super) next: Option<UnderWay>,
     /// First frames of a pipeline, which are not learned from.
     skipped: u32,
     frames: u64,
@@ -89,11 +95,12 @@ pub(super) struct Pacer {
 }
 
 #[derive(Clone, Copy, Debug)]
-struct UnderWay {
+pub(super) struct UnderWay {
     #[cfg(feature = "gpu")]
     frame: u64,
-    work: Workload,
-    predicted_ms: f64,
+    pub(super) work: Workload,
+    pub(super) predicted_ms: f64,
+    safe_ms: f64,
     target_px: f64,
 }
 
@@ -145,6 +152,7 @@ impl Renderer {
         if let Loading::Quota { bytes } = settings.loading {
             paced.loading = Loading::Quota { bytes: bytes.min(upload_bytes.max(1)) };
         }
+        pacer.gpu_ms = plan.target_ms;
         let free_ms = plan.free_ms();
         let mut cuts_tried = 0;
         let scene_points: u64 = self.sources.iter().map(|s| s.octree().point_count()).sum();
@@ -213,6 +221,7 @@ impl Renderer {
             frame: 0,
             work,
             predicted_ms,
+            safe_ms: pacer.online.predict_safely(&work),
             target_px,
         });
         self.pacer = Some(pacer);
@@ -282,7 +291,11 @@ impl Renderer {
                 let points_ms = points_ms(&measured.passes);
                 let all_ms: f64 = measured.passes.iter().map(|(_, ms)| ms).sum();
                 pacer.note_setup((all_ms - points_ms) / frame.target_px);
-                pacer.check(&frame, points_ms);
+                match measured.choice {
+                    // What was drawn instead says nothing about what was expected.
+                    Some(1) => pacer.stats.frames_cut_short += 1,
+                    _ => pacer.check(&frame, points_ms),
+                }
             }
         }
     }
@@ -334,7 +347,7 @@ impl Renderer {
         self.trial(view, settings, &mut Vec::new()).0
     }
 
-    fn scene_workload(
+    pub(super) fn scene_workload(
         &self,
         cuts: &[Cut],
         view: &View,
@@ -360,6 +373,7 @@ impl Pacer {
     fn new(calibration: Calibration) -> Self {
         Pacer {
             online: OnlineModel::new(calibration.model),
+            gpu_ms: 0.0,
             last_budget: None,
             nodes_each: 1e-4,
             pixels_each: 4.0,
@@ -391,7 +405,7 @@ impl Pacer {
         }
     }
 
-    fn reserved_ms(&self, target_px: f64) -> f64 {
+    pub(super) fn reserved_ms(&self, target_px: f64) -> f64 {
         (self.setup_px_ms + self.calibration.base_px_ms) * target_px
     }
 
@@ -421,6 +435,7 @@ impl Pacer {
         // What is less than the pass without points is noise around nothing.
         if measured_ms > 0.0 && self.online.observe(&frame.work, measured_ms).is_ok() {
             self.stats.checked_predicted_ms = Some(frame.predicted_ms);
+            self.stats.checked_safe_ms = Some(frame.safe_ms);
             self.stats.checked_measured_ms = Some(measured_ms);
         }
         let (learned, together, rejected) = self.online.counts();

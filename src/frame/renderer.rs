@@ -341,6 +341,8 @@ impl Renderer {
             let cuts = self.select_loaded(view, settings);
             self.predict(&cuts, view, settings);
             self.fill_table(&cuts, view, settings);
+            #[cfg(feature = "gpu")]
+            self.add_alternative(view, settings);
             self.note_cuts(&cuts);
             cuts.into_iter().for_each(|cut| self.scratch.recycle(cut));
         } else {

@@ -101,12 +101,28 @@ pub struct FrameSettings {
     /// take longer. Default: none. The first frame with a target measures the adapter, which takes
     /// about a second in software.
     pub target_ms: Option<f64>,
+    /// Whether a frame with a target decides half-way, on the device, between all of its points
+    /// and a coarser cut. Default: on GPUs that have a clock; software adapters, whose clock counts
+    /// what their neighbours take too, only if asked.
+    pub checkpoint: InFrameCheckpoint,
     /// Whether the frame's depth is wanted as a texture, so that other things can be drawn into the
     /// same picture. Default off: it takes time to write.
     pub depth: bool,
     /// Over what time a node appears whose points arrive after the scene was first drawn. Default
     /// zero: at once.
     pub appear: Duration,
+}
+
+/// When a frame with a target time may decide half-way what is still drawn.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum InFrameCheckpoint {
+    /// On GPUs.
+    #[default]
+    Auto,
+    /// Wherever the device can.
+    On,
+    /// Never.
+    Off,
 }
 
 impl Default for FrameSettings {
@@ -120,6 +136,7 @@ impl Default for FrameSettings {
             target_ms: None,
             depth: false,
             appear: Duration::ZERO,
+            checkpoint: InFrameCheckpoint::Auto,
         }
     }
 }

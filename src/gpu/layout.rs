@@ -167,9 +167,47 @@ gpu_struct! {
     }
 }
 
+gpu_struct! {
+    /// A decision in the middle of a frame.
+    GpuCheckpoint, 24 {
+        /// Place of the frame's first stamp.
+        first_stamp: u32,
+        /// Place of its latest stamp.
+        last_stamp: u32,
+        /// Alternatives to choose from.
+        alternative_count: u32,
+        /// Dispatches that depend on the choice.
+        dispatch_count: u32,
+        /// Ticks that the frame may take: the low word.
+        allowed_low: u32,
+        /// The high word.
+        allowed_high: u32,
+    }
+}
+
+gpu_struct! {
+    /// A dispatch that belongs to one alternative.
+    GpuDispatch, 16 {
+        /// The alternative.
+        alternative: u32,
+        /// Workgroups along x.
+        x: u32,
+        /// Workgroups along y.
+        y: u32,
+        /// Workgroups along z.
+        z: u32,
+    }
+}
+
 /// All shared structs.
-pub const STRUCTS: &[StructLayout] =
-    &[GpuFrame::LAYOUT, GpuNode::LAYOUT, GpuBatch::LAYOUT, GpuFinish::LAYOUT];
+pub const STRUCTS: &[StructLayout] = &[
+    GpuFrame::LAYOUT,
+    GpuNode::LAYOUT,
+    GpuBatch::LAYOUT,
+    GpuFinish::LAYOUT,
+    GpuCheckpoint::LAYOUT,
+    GpuDispatch::LAYOUT,
+];
 
 /// WGSL text that declares the shared constants; every shader starts with it.
 pub fn prelude() -> String {

@@ -9,8 +9,16 @@ use std::borrow::Cow;
 use crate::gpu::{Gpu, GpuError, layout};
 
 /// The shaders of the passes, by file name without suffix.
-pub const SHADERS: &[&str] =
-    &["points_compute", "points_bare", "points_raster", "grow", "resolve", "fill_gaps", "eye_dome"];
+pub const SHADERS: &[&str] = &[
+    "checkpoint",
+    "points_compute",
+    "points_bare",
+    "points_raster",
+    "grow",
+    "resolve",
+    "fill_gaps",
+    "eye_dome",
+];
 
 macro_rules! files {
     ($($name:literal),* $(,)?) => {
@@ -19,6 +27,7 @@ macro_rules! files {
 }
 
 const FILES: &[(&str, &str)] = files![
+    "checkpoint",
     "points_compute",
     "points_bare",
     "points_raster",

@@ -30,6 +30,8 @@ pub struct MeasuredFrame {
     pub frame: u64,
     /// Its passes.
     pub passes: PassTimes,
+    /// The alternative that was chosen in the middle of it, if there was a choice.
+    pub choice: Option<u32>,
 }
 
 const IDLE: u8 = 0;
@@ -46,6 +48,8 @@ pub struct PassTimer {
     latest: PassTimes,
     measured: VecDeque<MeasuredFrame>,
     rejected: u64,
+    /// Where the frame under way notes its choice.
+    choice: Option<(wgpu::Buffer, u64)>,
 }
 
 #[derive(Debug)]
@@ -64,6 +68,7 @@ struct ReadBack {
     state: Arc<AtomicU8>,
     frame: u64,
     passes: Vec<&'static str>,
+    has_choice: bool,
 }
 
 impl PassTimer {
@@ -80,6 +85,7 @@ impl PassTimer {
             latest: Vec::new(),
             measured: VecDeque::new(),
             rejected: 0,
+            choice: None,
         })
     }
 
@@ -102,6 +108,7 @@ impl PassTimer {
     pub fn begin_frame(&mut self) {
         self.collect();
         self.passes.clear();
+        self.choice = None;
         self.frame += 1;
     }
 
@@ -152,6 +159,11 @@ impl PassTimer {
     /// Bytes that [`resolve_into`](Self::resolve_into) may write.
     pub const RESOLVED_BYTES: u64 = RESULT_BYTES;
 
+    /// Says where this frame notes which alternative it chose (a word, at that byte).
+    pub fn note_choice(&mut self, buffer: &wgpu::Buffer, offset: u64) {
+        self.choice = Some((buffer.clone(), offset));
+    }
+
     /// Ends the frame's commands: copies the stamps out, if a read-back is free.
     pub fn end_frame(&mut self, encoder: &mut wgpu::CommandEncoder) {
         let Some(queries) = &mut self.queries else { return };
@@ -165,6 +177,10 @@ impl PassTimer {
         encoder.resolve_query_set(&queries.set, 0..stamps, &queries.resolved, 0);
         let read = &mut queries.read_backs[chosen];
         encoder.copy_buffer_to_buffer(&queries.resolved, 0, &read.staging, 0, RESULT_BYTES);
+        read.has_choice = self.choice.is_some();
+        if let Some((buffer, offset)) = &self.choice {
+            encoder.copy_buffer_to_buffer(buffer, *offset, &read.staging, RESULT_BYTES, 4);
+        }
         read.frame = self.frame;
         read.passes.clone_from(&self.passes);
     }
@@ -184,18 +200,18 @@ impl PassTimer {
     /// Takes in results that have arrived and returns the latest, of this or an earlier frame.
     pub fn collect(&mut self) -> &PassTimes {
         let Some(queries) = &mut self.queries else { return &self.latest };
-        let mut arrived: Vec<(u64, Option<PassTimes>)> = Vec::new();
+        let mut arrived: Vec<(u64, Option<u32>, Option<PassTimes>)> = Vec::new();
         for read in &mut queries.read_backs {
             match read.state.load(Ordering::Acquire) {
                 MAPPED => {
                     if let Ok(view) = read.staging.get_mapped_range(..) {
                         let ticks: &[u64] = bytemuck::cast_slice(&view);
-                        let times = ticks
-                            .chunks(2)
-                            .map(|pair| span_ms(pair[0], pair[1], queries.period_ns));
-                        let named = read.passes.iter().zip(times);
+                        let span = |pair: &[u64]| span_ms(pair[0], pair[1], queries.period_ns);
+                        let named = read.passes.iter().zip(ticks.chunks_exact(2).map(span));
+                        let choice = ticks[RESULT_BYTES as usize / 8] as u32;
                         arrived.push((
                             read.frame,
+                            read.has_choice.then_some(choice),
                             named.map(|(&pass, time)| Some((pass, time?))).collect(),
                         ));
                     }
@@ -206,8 +222,8 @@ impl PassTimer {
             }
             read.state.store(IDLE, Ordering::Release);
         }
-        arrived.sort_by_key(|(frame, _)| *frame);
-        for (frame, passes) in arrived {
+        arrived.sort_by_key(|(frame, ..)| *frame);
+        for (frame, choice, passes) in arrived {
             let Some(passes) = passes else {
                 self.rejected += 1;
                 continue;
@@ -216,7 +232,7 @@ impl PassTimer {
             if self.measured.len() == MAX_WAITING {
                 self.measured.pop_front();
             }
-            self.measured.push_back(MeasuredFrame { frame, passes });
+            self.measured.push_back(MeasuredFrame { frame, passes, choice });
         }
         &self.latest
     }
@@ -247,10 +263,10 @@ fn span_ms(begin: u64, end: u64, period_ns: f64) -> Option<f64> {
 
 impl Queries {
     fn new(gpu: &Gpu) -> Self {
-        let buffer = |label, usage| {
+        let buffer = |label, size, usage| {
             gpu.device().create_buffer(&wgpu::BufferDescriptor {
                 label: Some(label),
-                size: RESULT_BYTES,
+                size,
                 usage,
                 mapped_at_creation: false,
             })
@@ -258,11 +274,14 @@ impl Queries {
         let read_back = |_| ReadBack {
             staging: buffer(
                 "pass times, read back",
+                // Behind the stamps stands the choice.
+                RESULT_BYTES + 8,
                 wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
             ),
             state: Arc::default(),
             frame: 0,
             passes: Vec::new(),
+            has_choice: false,
         };
         Queries {
             set: gpu.device().create_query_set(&wgpu::QuerySetDescriptor {
@@ -272,6 +291,7 @@ impl Queries {
             }),
             resolved: buffer(
                 "pass times",
+                RESULT_BYTES,
                 wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
             ),
             read_backs: (0..READ_BACKS).map(read_back).collect(),

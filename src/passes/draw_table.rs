@@ -11,6 +11,7 @@ use crate::geometry::{Aabb, View};
 use crate::gpu::layout::{GpuBatch, GpuNode, NARROW_BITS, position_words};
 use crate::ids::NodeId;
 use crate::octree::{LevelIndex, Octree};
+use crate::passes::{CheckpointPlan, DrawPart};
 use crate::select::{Cut, DrawNode, DrawnRow, SplatSettings, SplatSize};
 
 /// Where the words of a node are.
@@ -54,6 +55,8 @@ pub struct DrawnNode {
     pub single_pixels: bool,
     /// Whether only a share of the points is drawn.
     pub partly: bool,
+    /// Which of the frame's alternatives it belongs to.
+    pub part: DrawPart,
 }
 
 /// All drawn nodes of a scene. Lists are kept for the next frame's use.
@@ -72,6 +75,8 @@ pub struct DrawTable {
     pub largest_splat_px: f64,
     /// Bytes that drawing reads of points: all positions, and the colours if none is hidden.
     pub point_bytes: u64,
+    /// When which alternative is drawn; without it there are none.
+    pub checkpoint: Option<CheckpointPlan>,
 }
 
 /// What all nodes of a batch group have in common, so that one pipeline draws them.
@@ -85,6 +90,8 @@ pub struct BatchKind {
     pub single_pixels: bool,
     /// Whether only a share of the nodes' points is drawn.
     pub partly: bool,
+    /// Which of the frame's alternatives they belong to.
+    pub part: DrawPart,
 }
 
 /// Workgroup-sized pieces of the draws.
@@ -102,6 +109,7 @@ impl DrawTable {
         self.nodes.clear();
         self.draws.clear();
         self.splat_pixels = 0;
+        self.checkpoint = None;
         self.largest_splat_px = 1.0;
         for (index, cloud) in clouds.iter().enumerate() {
             self.add_cloud(index, cloud, view, splat);
@@ -144,6 +152,7 @@ impl DrawTable {
             wide: self.nodes[draw.slot as usize].local_bits > NARROW_BITS,
             single_pixels: draw.single_pixels,
             partly: draw.partly,
+            part: draw.part,
         }
     }
 
@@ -160,6 +169,7 @@ impl DrawTable {
             shard: 0,
             single_pixels: false,
             partly: false,
+            part: DrawPart::Always,
         }));
         let mut coarsest_edges = vec![f64::INFINITY; cloud.cut.table.len()];
         for ((index, row), slot) in cloud.cut.table.iter().enumerate().zip(base..) {

@@ -7,6 +7,7 @@
 //! they draw. Which nodes are drawn is decided in `select`, when and from where they are loaded in
 //! `frame`.
 
+mod alternatives;
 mod draw_table;
 mod finish_cpu;
 mod picture;
@@ -16,6 +17,8 @@ pub mod splat;
 
 #[cfg(feature = "gpu")]
 mod bindings;
+#[cfg(feature = "gpu")]
+mod checkpoint;
 #[cfg(feature = "gpu")]
 mod finish;
 #[cfg(feature = "gpu")]
@@ -29,6 +32,7 @@ mod points_raster;
 #[cfg(feature = "gpu")]
 mod targets;
 
+pub use alternatives::{CheckpointPlan, DrawPart};
 pub use draw_table::{BatchKind, Batches, CloudDraw, DrawTable, DrawnNode, NodePlace};
 pub use finish_cpu::{
     EyeDome, FinishSettings, MAX_FINISH_RADIUS_PX, fill_gaps, finish, light_eye_dome,
@@ -66,6 +70,8 @@ pub struct DrawCounts {
     pub uploaded_bytes: u64,
 }
 
+#[cfg(feature = "gpu")]
+pub use checkpoint::{Checkpoint, Decision};
 #[cfg(feature = "gpu")]
 pub use finish::Finish;
 #[cfg(feature = "gpu")]

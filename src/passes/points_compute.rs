@@ -8,14 +8,16 @@
 
 use std::ops::Range;
 
-use crate::gpu::layout::{GpuBatch, GpuFrame, SQUARE, WORKGROUP_SIZE};
+use crate::gpu::layout::{GpuBatch, GpuDispatch, GpuFrame, SQUARE, WORKGROUP_SIZE};
 use crate::gpu::shader::{self, PixelAtomics};
 use crate::gpu::{Gpu, GpuError, GrowingBuffer, PassTimer, read_buffer};
 use crate::passes::bindings::{
     bind, compute_pipeline, covering_pipeline, layout, part, pipeline_layout, whole,
 };
 use crate::passes::grow::Grow;
-use crate::passes::{BatchKind, Batches, DrawCounts, PointDrawing};
+use crate::passes::{
+    BatchKind, Batches, Checkpoint, CheckpointPlan, Decision, DrawCounts, DrawPart, PointDrawing,
+};
 
 /// The pass, its pipelines and its tables.
 #[derive(Debug)]
@@ -30,6 +32,7 @@ pub struct PointsCompute {
     /// Without depth, with it.
     resolve: [wgpu::RenderPipeline; 2],
     grow: Option<Grow>,
+    checkpoint: Option<Checkpoint>,
     frame_layout: wgpu::BindGroupLayout,
     scene_layout: wgpu::BindGroupLayout,
     draw_pixels_layout: wgpu::BindGroupLayout,
@@ -107,6 +110,7 @@ impl PointsCompute {
                 lane_group,
                 resolve,
                 grow: None,
+                checkpoint: None,
                 frame_layout,
                 scene_layout,
                 draw_pixels_layout,
@@ -189,32 +193,88 @@ impl PointsCompute {
         let draw_pixels = bind(gpu, &self.draw_pixels_layout, std::slice::from_ref(&drawn));
 
         encoder.clear_buffer(pixels, 0, Some(bytes_of(&frames[1])));
+        let groups = self.batch_list.groups.clone();
+        let node_bytes = size_of_val(&table.nodes[..]) as u64;
+        let mut work: Vec<PointWork> = Vec::with_capacity(groups.len());
+        for (kind, range) in &groups {
+            let first_byte = range.start as u64 * BATCH_BYTES;
+            let bytes = range.len() as u64 * BATCH_BYTES;
+            let buffers = [
+                part(nodes, 0, node_bytes),
+                whole(arena.buffer(kind.shard)),
+                part(batches, first_byte, bytes),
+            ];
+            let row = (range.len() as u32).min(MAX_WORKGROUPS_PER_ROW);
+            work.push(PointWork {
+                kind: *kind,
+                scene: bind(gpu, &self.scene_layout, &buffers),
+                workgroups: [row, (range.len() as u32).div_ceil(row)],
+            });
+        }
+        let bound = PointBindings { frame: &points_group, pixels: &draw_pixels };
+        let (always, rest): (Vec<_>, Vec<_>) =
+            work.iter().partition(|work| work.kind.part == DrawPart::Always);
+        let phases = color_passes(self.atomics);
         let mut dispatches = 0;
         {
             let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
                 label: Some("points"),
                 timestamp_writes: timer.compute_pass("points"),
             });
-            pass.set_bind_group(0, &points_group, &[]);
-            pass.set_bind_group(2, &draw_pixels, &[]);
-            for &color_pass in color_passes(self.atomics) {
-                for (kind, range) in &self.batch_list.groups {
-                    let first_byte = range.start as u64 * BATCH_BYTES;
-                    let bytes = range.len() as u64 * BATCH_BYTES;
-                    let buffers = [
-                        part(nodes, 0, size_of_val(&table.nodes[..]) as u64),
-                        whole(arena.buffer(kind.shard)),
-                        part(batches, first_byte, bytes),
-                    ];
-                    let scene = bind(gpu, &self.scene_layout, &buffers);
-                    let variant = Variant::of(kind, frame.splat_shape, color_pass);
-                    let known = self.pipelines.iter().find(|(known, _)| *known == variant);
-                    pass.set_pipeline(&known.expect("it was just compiled").1);
-                    pass.set_bind_group(1, &scene, &[]);
-                    let row = (range.len() as u32).min(MAX_WORKGROUPS_PER_ROW);
-                    pass.dispatch_workgroups(row, (range.len() as u32).div_ceil(row), 1);
-                    dispatches += 1;
+            bound.set(&mut pass);
+            // What comes later may be nearer: colours wait for it.
+            let now = if rest.is_empty() { phases } else { &phases[..1] };
+            for &color_pass in now {
+                dispatches += dispatch(
+                    &self.pipelines,
+                    &mut pass,
+                    &always,
+                    (frame.splat_shape, color_pass),
+                    None,
+                );
+            }
+        }
+        if !rest.is_empty() {
+            let decided = match (table.checkpoint, timer.period_ns()) {
+                (Some(plan), Some(period_ns)) => {
+                    if self.checkpoint.is_none() {
+                        self.checkpoint = Some(Checkpoint::new(gpu)?);
+                    }
+                    let mut checkpoint = self.checkpoint.take().expect("it was just made");
+                    let arguments =
+                        decide(gpu, encoder, timer, &mut checkpoint, &plan, period_ns, &rest);
+                    self.checkpoint = Some(checkpoint);
+                    arguments?
                 }
+                // Without a clock the full cut is drawn.
+                _ => None,
+            };
+            let rest: Vec<&PointWork> = match decided {
+                Some(_) => rest,
+                None => rest.into_iter().filter(|w| w.kind.part == DrawPart::Full).collect(),
+            };
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+                label: Some("points, the rest"),
+                timestamp_writes: timer.compute_pass("points, the rest"),
+            });
+            bound.set(&mut pass);
+            for &color_pass in phases {
+                if color_pass {
+                    dispatches += dispatch(
+                        &self.pipelines,
+                        &mut pass,
+                        &always,
+                        (frame.splat_shape, color_pass),
+                        None,
+                    );
+                }
+                dispatches += dispatch(
+                    &self.pipelines,
+                    &mut pass,
+                    &rest,
+                    (frame.splat_shape, color_pass),
+                    decided.as_ref(),
+                );
             }
         }
         let resolved = match margin_px {
@@ -305,6 +365,79 @@ impl PointsCompute {
         }
         Ok(())
     }
+}
+
+/// Adds dispatches, from `arguments` if they were decided on the device; returns their number.
+fn dispatch(
+    pipelines: &[(Variant, wgpu::ComputePipeline)],
+    pass: &mut wgpu::ComputePass,
+    work: &[&PointWork],
+    (shape, color_pass): (u32, bool),
+    arguments: Option<&wgpu::Buffer>,
+) -> u32 {
+    for (work, index) in work.iter().zip(0u64..) {
+        let variant = Variant::of(&work.kind, shape, color_pass);
+        let known = pipelines.iter().find(|(known, _)| *known == variant);
+        pass.set_pipeline(&known.expect("it was just compiled").1);
+        pass.set_bind_group(1, &work.scene, &[]);
+        match arguments {
+            Some(arguments) => pass.dispatch_workgroups_indirect(arguments, 12 * index),
+            None => pass.dispatch_workgroups(work.workgroups[0], work.workgroups[1], 1),
+        }
+    }
+    work.len() as u32
+}
+
+/// One dispatch.
+struct PointWork {
+    kind: BatchKind,
+    scene: wgpu::BindGroup,
+    workgroups: [u32; 2],
+}
+
+/// What all dispatches share.
+struct PointBindings<'a> {
+    frame: &'a wgpu::BindGroup,
+    pixels: &'a wgpu::BindGroup,
+}
+
+impl PointBindings<'_> {
+    fn set(&self, pass: &mut wgpu::ComputePass) {
+        pass.set_bind_group(0, self.frame, &[]);
+        pass.set_bind_group(2, self.pixels, &[]);
+    }
+}
+
+/// Adds the decision between the alternatives; the arguments of their dispatches, in their order.
+fn decide(
+    gpu: &Gpu,
+    encoder: &mut wgpu::CommandEncoder,
+    timer: &mut PassTimer,
+    checkpoint: &mut Checkpoint,
+    plan: &CheckpointPlan,
+    period_ns: f64,
+    rest: &[&PointWork],
+) -> Result<Option<wgpu::Buffer>, GpuError> {
+    let Some(stamps) = timer.resolve_into(encoder, checkpoint.stamps()) else { return Ok(None) };
+    let ticks = |ms: f64| (ms * 1e6 / period_ns) as u64;
+    let dispatches: Vec<GpuDispatch> = rest
+        .iter()
+        .map(|work| GpuDispatch {
+            alternative: u32::from(work.kind.part == DrawPart::Coarse),
+            x: work.workgroups[0],
+            y: work.workgroups[1],
+            z: 1,
+        })
+        .collect();
+    let decision = Decision {
+        stamps,
+        allowed: ticks(plan.allowed_ms),
+        needs: &plan.needs_ms.map(ticks),
+        dispatches: &dispatches,
+    };
+    let arguments = checkpoint.decide(gpu, encoder, &decision)?.clone();
+    timer.note_choice(&arguments, 12 * dispatches.len() as u64);
+    Ok(Some(arguments))
 }
 
 impl Variant {

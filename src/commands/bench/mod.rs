@@ -13,6 +13,7 @@ mod slow_bytes;
 mod stability;
 mod stability_sets;
 mod stream;
+mod time;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -33,7 +34,8 @@ pub struct BenchArgs {
     #[arg(value_enum)]
     suite: Suite,
     /// lod, stream: stores or scans; scans are converted into a temporary store first. convert: scans
-    /// [default: one beside the checkout, else one that is made]
+    /// [default: one beside the checkout, else one that is made]. time: stores or scans [default: a
+    /// scan that is made]
     #[arg(value_name = "FILE", required_if_eq_any([("suite", "lod"), ("suite", "stream")]))]
     files: Vec<PathBuf>,
     /// Folder for the CSV file and the plots
@@ -65,6 +67,8 @@ enum Suite {
     /// Streaming: time to the first and to the whole picture from slow disks, a flight through
     /// more than memory holds
     Stream,
+    /// Rendering time: what estimators predict against what frames take
+    Time,
 }
 
 /// Runs a suite.
@@ -76,14 +80,20 @@ pub fn run(args: BenchArgs) -> anyhow::Result<ExitCode> {
         Suite::Convert => convert::run(&args)?,
         Suite::Stream => stream::run(&args)?,
         Suite::Stability => stability::run(&args)?,
+        Suite::Time => time::run(&args)?,
     }
     Ok(ExitCode::SUCCESS)
 }
 
 /// The stores of the arguments, each with its name; scans are converted into `folder`.
 fn open_all(args: &BenchArgs, folder: &Path) -> anyhow::Result<Vec<(String, Store)>> {
+    open_files(&args.files, folder)
+}
+
+/// The stores of some files, each with its name; scans are converted into `folder`.
+fn open_files(files: &[PathBuf], folder: &Path) -> anyhow::Result<Vec<(String, Store)>> {
     let mut stores = Vec::new();
-    for path in inputs::expand(&args.files)? {
+    for path in inputs::expand(files)? {
         let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let store = if inputs::is_scan(&path) {
             let converted = folder.join(format!("{}-{stem}.esker", stores.len()));

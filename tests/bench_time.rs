@@ -62,5 +62,5 @@ fn a_quick_run_judges_every_estimator() {
     let plot = std::fs::read_to_string(output.join("time.svg")).expect("the plot");
     assert!(plot.starts_with("<svg") && plot.contains("<polyline") && !plot.contains("NaN"));
     let frames = std::fs::read_to_string(output.join("time-frames.csv")).expect("the frames");
-    assert_eq!(frames.lines().filter(|line| line.contains(",counted,")).count(), 40);
+    assert_eq!(frames.lines().filter(|line| line.contains(",counted,")).count(), 2 * 40);
 }

@@ -205,7 +205,7 @@ fn frames_are_measured_without_waiting_for_them() {
 #[test]
 fn estimated_pixels_are_near_the_counted_ones() {
     let mut renderer = renderer();
-    let (mut squares, mut frames, mut ratios) = (0.0, 0.0, 0.0);
+    let (mut squares, mut frames, mut ratios) = (0.0f64, 0.0, 0.0);
     for step in 0..60 {
         let mut settings = settings(None);
         settings.cut.point_budget = 2_000 << (step % 5);
@@ -219,6 +219,6 @@ fn estimated_pixels_are_near_the_counted_ones() {
         ratios += ratio;
         frames += 1.0;
     }
-    let (rms, mean) = ((squares / frames as f64).sqrt(), ratios / frames);
+    let (rms, mean) = ((squares / frames).sqrt(), ratios / frames);
     assert!(rms < 0.25 && (0.8..1.25).contains(&mean), "{rms} {mean}");
 }

@@ -64,6 +64,16 @@ pub fn sphere_footprint(view: &View, center: DVec3, radius: f64) -> Footprint {
     let axis = middle * off_axis.sin() + off_axis.cos();
     let minor = ((axis / half.cos()).powi(2) - middle * middle - 1.0).max(0.0).sqrt();
     let along = aside.try_normalize().unwrap_or(DVec2::X);
+    // Most spheres lie wholly in the picture or wholly beside it.
+    let full_px = PI * major * minor * focal_px * focal_px;
+    let place = (along * (middle * focal_px)).abs();
+    let reach = major.max(minor) * focal_px;
+    if (place + reach).cmple(0.5 * size).all() {
+        return Footprint { angle_rad, visible_px: full_px, full_px };
+    }
+    if (place - reach).cmpge(0.5 * size).any() {
+        return Footprint { angle_rad, visible_px: 0.0, full_px };
+    }
     let around = 1.0 / (PI / f64::from(CORNERS)).cos();
     let corner = |i: u32| {
         let (sin, cos) = (2.0 * PI * f64::from(i) / f64::from(CORNERS)).sin_cos();
@@ -71,7 +81,6 @@ pub fn sphere_footprint(view: &View, center: DVec3, radius: f64) -> Footprint {
         place * focal_px
     };
     let polygon: Vec<DVec2> = (0..CORNERS).map(corner).collect();
-    let full_px = area(&polygon);
     Footprint { angle_rad, visible_px: area(&clipped(polygon, 0.5 * size)).min(full_px), full_px }
 }
 

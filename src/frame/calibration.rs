@@ -129,7 +129,7 @@ impl Renderer {
         let base_ms = median(&empty, |t| t.points_ms);
         let samples: Vec<Sample> = samples
             .into_iter()
-            .map(|(work, points_ms)| Sample { work, time_ms: (points_ms - base_ms).max(1e-6) })
+            .map(|(work, points_ms)| Sample { work, time_ms: beyond_base(points_ms, base_ms) })
             .collect();
         let fitted = CostModel::fit(Heuristic::Blend, &samples)
             .or_else(|_| CostModel::fit(Heuristic::Transformed, &samples));
@@ -265,6 +265,12 @@ impl Renderer {
             }
         }
     }
+}
+
+/// What a point pass takes beyond one without points. Never less than a quarter of it: a base that
+/// was measured while the machine was busy must not leave nothing.
+pub(super) fn beyond_base(points_ms: f64, base_ms: f64) -> f64 {
+    (points_ms - base_ms).max(0.25 * points_ms)
 }
 
 /// The view and settings of a design.

@@ -13,7 +13,7 @@ use std::time::Instant;
 use serde::Serialize;
 
 use crate::budget::{BudgetSearch, OnlineModel, TimePlan, UPLOAD_SHARE, Workload, sure_points};
-use crate::frame::calibration::Calibration;
+use crate::frame::calibration::{Calibration, beyond_base};
 use crate::frame::device::Device;
 use crate::frame::renderer::milliseconds;
 use crate::frame::workload::workload;
@@ -237,7 +237,7 @@ impl Renderer {
         let others_ms = cpu_spent("points") + cpu_spent("resolve") + cpu_spent("load");
         let Some(pacer) = &mut self.pacer else { return Ok(()) };
         let next = pacer.next.take();
-        let cpu_ms = (milliseconds(started) - others_ms).max(0.0);
+        let cpu_ms = (milliseconds(started) - others_ms).max(0.0) + pacer.stats.planning_ms;
         // Slowly, because of single interrupted frames.
         pacer.cpu_ms += 0.1 * (cpu_ms - pacer.cpu_ms).clamp(-pacer.cpu_ms, pacer.cpu_ms.max(0.1));
         pacer.frames += 1;
@@ -427,13 +427,13 @@ impl Pacer {
 
     /// Compares a frame with its prediction and learns from it.
     fn check(&mut self, frame: &UnderWay, points_ms: f64) {
-        let measured_ms = points_ms - self.calibration.base_px_ms * frame.target_px;
+        let base_ms = self.calibration.base_px_ms * frame.target_px;
+        let measured_ms = beyond_base(points_ms, base_ms);
         if self.skipped < SKIPPED {
             self.skipped += 1;
             return;
         }
-        // What is less than the pass without points is noise around nothing.
-        if measured_ms > 0.0 && self.online.observe(&frame.work, measured_ms).is_ok() {
+        if self.online.observe(&frame.work, measured_ms).is_ok() {
             self.stats.checked_predicted_ms = Some(frame.predicted_ms);
             self.stats.checked_safe_ms = Some(frame.safe_ms);
             self.stats.checked_measured_ms = Some(measured_ms);

@@ -15,8 +15,9 @@ use crate::select::{Cut, DrawnRow, SplatSettings, SplatSize};
 /// Share by which splats of a node without finer points exceed its mean spacing; as in
 /// [`passes`](crate::passes).
 const UNEVENNESS: f64 = 1.5;
-/// Places per axis at which a node is looked at that the picture or its depths cut through.
-const PLACES: u32 = 3;
+/// Places per axis at which a node is looked at that the edge of the picture cuts through, and one
+/// that reaches around the eye.
+const PLACES: [u32; 2] = [3, 6];
 /// Ratio of a node's depths up to which one of them stands for all.
 const FLAT: f64 = 1.3;
 
@@ -115,10 +116,10 @@ fn mean_over(bounds: &Aabb, eye: &Eye, of_depth: impl Fn(f64) -> f64) -> f64 {
         Containment::Inside if is_flat => return of_depth(middle),
         _ => {}
     }
+    let side = PLACES[usize::from(middle - half < 0.3 * (middle + half))];
     let place = |i: u32| {
-        let step = |n: u32| (f64::from(n) + 0.5) / f64::from(PLACES);
-        let share =
-            DVec3::new(step(i % PLACES), step(i / PLACES % PLACES), step(i / (PLACES * PLACES)));
+        let step = |n: u32| (f64::from(n) + 0.5) / f64::from(side);
+        let share = DVec3::new(step(i % side), step(i / side % side), step(i / (side * side)));
         relative.min + share * relative.size()
     };
     let (half_x, half_y) =
@@ -132,6 +133,6 @@ fn mean_over(bounds: &Aabb, eye: &Eye, of_depth: impl Fn(f64) -> f64) -> f64 {
             && (place.dot(up) * eye.focal_px).abs() <= half_y * depth;
         if is_seen { of_depth(depth) } else { 0.0 }
     };
-    let places = PLACES * PLACES * PLACES;
+    let places = side * side * side;
     (0..places).map(value).sum::<f64>() / f64::from(places)
 }

@@ -64,7 +64,7 @@ fn a_path_of_cameras_is_measured_once_and_learned_from() {
     let path: Vec<Value> = (0..8).map(camera).collect();
     let text = serde_json::to_string(&path).expect("JSON");
     std::fs::write(folder.path().join("path.json"), text).expect("it is written");
-    let arguments = ["--view", "path.json", "--time-ms", "30", "--stats", "stats.json"];
+    let arguments = ["--view", "path.json", "--time-ms", "1", "--stats", "stats.json"];
     render(folder.path(), &arguments).success();
     let text = std::fs::read_to_string(folder.path().join("stats.json")).expect("statistics");
     let stats: Value = serde_json::from_str(&text).expect("JSON");

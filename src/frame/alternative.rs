@@ -31,7 +31,8 @@ impl Renderer {
         let expected = pacer.next.map(|next| (next.work, next.predicted_ms));
         self.pacer = Some(pacer);
         let Some((_, full_ms)) = expected else { return };
-        if !is_wanted || !can || points < FEWEST_POINTS {
+        // Nodes that are still appearing count on being asked for once per frame.
+        if !is_wanted || !can || points < FEWEST_POINTS || !settings.appear.is_zero() {
             return;
         }
         let cut = CutSettings { point_budget: (COARSER * points as f64) as u64, ..settings.cut };

@@ -60,7 +60,9 @@ fn no_time_draws_the_least_and_much_time_draws_all() {
 fn a_path_of_cameras_is_measured_once_and_learned_from() {
     let folder = tempfile::tempdir().expect("a folder");
     write_scan(&folder.path().join("scan.las"));
-    let camera = |i: u32| json!({"eye": [20 + i, -20, 30], "target": [20, 20, 0]});
+    // A square of four metres at coordinates as in UTM.
+    let place = |x: f64, y: f64, z: f64| json!([500_000.0 + x, 5_000_000.0 + y, 500.0 + z]);
+    let camera = |i: u32| json!({"eye": place(2.0 + 0.1 * f64::from(i), -2.0, 3.0), "target": place(2.0, 2.0, 0.0)});
     let path: Vec<Value> = (0..8).map(camera).collect();
     let text = serde_json::to_string(&path).expect("JSON");
     std::fs::write(folder.path().join("path.json"), text).expect("it is written");

@@ -18,7 +18,9 @@ fn a_quick_run_tells_steps_stages_and_the_distance_to_the_limit() {
     let message = String::from_utf8_lossy(&run.stderr).into_owned();
     assert_eq!(run.status.code(), Some(0), "{message}");
     let table = String::from_utf8(run.stdout).expect("text");
-    for words in ["generated.laz: 300000 points", "x the limit", "bytes a point", "decode"] {
+    for words in
+        ["generated.laz: 300000 points", "x the limit", "bytes a point", "decode", "reading: "]
+    {
         assert!(table.contains(words), "{words} is missing in:\n{table}");
     }
     let csv = std::fs::read_to_string(output.join("convert.csv")).expect("the rows");
@@ -42,6 +44,8 @@ fn a_quick_run_tells_steps_stages_and_the_distance_to_the_limit() {
     let near = |a: f64, b: f64| (a - b).abs() <= 0.01 * a.abs().max(1.0);
     assert!(near(sum("bound"), value("limit", "processor")), "steps add up:\n{csv}");
     assert!(near(sum("stage"), value("conversion", "whole")), "stages add up:\n{csv}");
+    assert!(value("reading", "all of the store") > 0.0);
+    assert!(value("reading", "positions and colours") > 0.0);
     let larger = value("limit", "processor").max(value("limit", "disk"));
     assert!(near(larger, value("limit", "limit")));
     let plot = std::fs::read_to_string(output.join("convert-generated.svg")).expect("the plot");

@@ -11,6 +11,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 use crate::build::{self, ConvertOptions, ConvertReport, Progress, Stage};
 use crate::commands::bench::bars::{Bar, svg};
@@ -18,7 +19,9 @@ use crate::commands::bench::limits::{self, Limits};
 use crate::commands::bench::{BenchArgs, machine, write_file};
 use crate::commands::generate::{self, GenerateArgs, Subject};
 use crate::commands::inputs;
+use crate::ids::NodeId;
 use crate::metrics::peak_rss_bytes;
+use crate::store::{SectionContent, Store};
 
 /// What is converted if nothing is named and it is there.
 const DEFAULT_SCAN: &str = "../shared/data/autzen-rgb-10m.laz";
@@ -79,6 +82,44 @@ struct Conversion {
     /// Each stage with its seconds; together the whole.
     stages: Vec<(&'static str, f64)>,
     peak_rss_bytes: Option<u64>,
+    reading: Reading,
+}
+
+/// Seconds to open a store and decode its nodes, on all cores.
+#[derive(Clone, Copy)]
+struct Reading {
+    /// Every section.
+    all: f64,
+    /// What a coloured picture needs.
+    drawn: f64,
+}
+
+/// Reads a store some times; the fastest counts.
+fn read_back(path: &Path) -> anyhow::Result<Reading> {
+    let mut fastest = Reading { all: f64::INFINITY, drawn: f64::INFINITY };
+    for _ in 0..RUNS {
+        for is_drawn in [false, true] {
+            let began = Instant::now();
+            let store = Store::open(path)?;
+            let wanted = |content| {
+                !is_drawn || matches!(content, SectionContent::Positions | SectionContent::Color)
+            };
+            let sections = &store.metadata().sections;
+            (0..store.octree().nodes().len() as u32).into_par_iter().try_for_each_init(
+                Vec::new,
+                |bytes, node| {
+                    let sections = sections.iter().enumerate();
+                    sections.filter(|(_, section)| wanted(section.content)).try_for_each(
+                        |(section, _)| store.read_section(NodeId(node), section, bytes),
+                    )
+                },
+            )?;
+            let seconds = began.elapsed().as_secs_f64();
+            let best = if is_drawn { &mut fastest.drawn } else { &mut fastest.all };
+            *best = best.min(seconds);
+        }
+    }
+    Ok(fastest)
 }
 
 fn convert(
@@ -91,21 +132,26 @@ fn convert(
     let mut options = ConvertOptions { overwrite: true, ..ConvertOptions::default() };
     options.memory_bytes = args.memory.unwrap_or(options.memory_bytes);
     let mut conversions = Vec::with_capacity(runs);
+    let mut reading = Reading { all: 0.0, drawn: 0.0 };
     for _ in 0..runs {
         let clock = StageClock::default();
         let began = Instant::now();
         let input = [path.to_path_buf()];
         let report = build::convert(&input, &store, &options, &clock, &AtomicBool::new(false))?;
         let ended = Instant::now();
-        std::fs::remove_file(&store)?;
         let seconds = (ended - began).as_secs_f64();
         let stages = clock.stages(began, ended);
-        conversions.push(Conversion { report, seconds, stages, peak_rss_bytes: peak_rss_bytes() });
+        let peak_rss_bytes = peak_rss_bytes();
+        if conversions.len() + 1 == runs {
+            reading = read_back(&store)?;
+        }
+        std::fs::remove_file(&store)?;
+        conversions.push(Conversion { report, seconds, stages, peak_rss_bytes, reading });
     }
     conversions.sort_by(|a, b| a.seconds.total_cmp(&b.seconds));
     let peak = conversions.iter().filter_map(|conversion| conversion.peak_rss_bytes).max();
     let median = conversions.swap_remove(conversions.len() / 2);
-    Ok(Conversion { peak_rss_bytes: peak, ..median })
+    Ok(Conversion { peak_rss_bytes: peak, reading, ..median })
 }
 
 /// Notes when stages begin.
@@ -181,6 +227,9 @@ impl Measured {
         let stages = self.conversion.stages.iter();
         rows.extend(stages.map(|&(name, seconds)| ("stage", name, self.ns_per_point(seconds))));
         rows.push(("conversion", "whole", self.ns_per_point(self.conversion.seconds)));
+        let reading = self.conversion.reading;
+        rows.push(("reading", "all of the store", self.ns_per_point(reading.all)));
+        rows.push(("reading", "positions and colours", self.ns_per_point(reading.drawn)));
         rows
     }
 
@@ -200,6 +249,7 @@ impl Measured {
                 "bound" => "each step alone, on all cores",
                 "limit" => "the limit, if all overlapped",
                 "stage" => "stages of a conversion",
+                "reading" => "opening the store and decoding its nodes",
                 _ => "",
             };
             if row_kind != kind && !heading.is_empty() {
@@ -231,6 +281,19 @@ impl Measured {
                 if report.in_memory { "yes" } else { "no" },
             ),
         );
+        if let Some(decode) = limits.steps.iter().find(|step| step.name == "decode") {
+            let decode = decode.core_ns / limits.cores as f64;
+            let reading = self.conversion.reading;
+            line(
+                &mut out,
+                format_args!(
+                    "reading: decoding the input takes {:.1} x as long as all of the store, {:.1} x \
+                     as long as its positions and colours",
+                    decode / self.ns_per_point(reading.all),
+                    decode / self.ns_per_point(reading.drawn),
+                ),
+            );
+        }
         if let Some(peak) = self.conversion.peak_rss_bytes {
             line(&mut out, format_args!("peak memory: {:.0} MB", peak as f64 / 1e6));
         }

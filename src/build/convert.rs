@@ -12,7 +12,7 @@ use crate::build::node::TreeRules;
 use crate::build::options::{ConvertOptions, DEPTH_RANGE};
 use crate::build::ordered::Built;
 use crate::build::pages::{PageStore, Slab};
-use crate::build::progress::{Clock, Progress, Silent, Stage, StageTime};
+use crate::build::progress::{Clock, PointSample, Progress, Silent, Stage, StageTime};
 use crate::build::rows::color_offset;
 use crate::build::sources::Sources;
 use crate::build::steps::Steps;
@@ -165,6 +165,11 @@ impl Conversion<'_> {
         let is_resumed = resumed.is_some();
         clock.begin(Stage::Read, sources.expected_points());
         let mut surveyed = steps.survey(resumed)?;
+        let records = surveyed.survey.take_records();
+        if !records.is_empty() {
+            let (schema, lattice) = (schema.clone(), sources.lattice());
+            self.progress.take_points(PointSample { records, schema, lattice });
+        }
         let depth = self.options.depth_for(schema);
         let root_bits = surveyed.survey.root_bits(depth);
         if root_bits > u128::MAX_BITS {

@@ -41,6 +41,6 @@ pub use error::BuildError;
 pub use machine::available_memory;
 pub use node::Representative;
 pub use options::{ConvertOptions, DEPTH_RANGE};
-pub use progress::{Progress, Silent, Stage, StageTime};
+pub use progress::{PointSample, Progress, Silent, Stage, StageTime};
 pub use sources::{Source, Sources};
 pub use work::BeforeWrite;

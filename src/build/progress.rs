@@ -2,6 +2,8 @@
 
 use std::time::Instant;
 
+use crate::points::{Lattice, Schema};
+
 /// The parts of a conversion, in order. Parts that a conversion does not need are left out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
@@ -27,12 +29,30 @@ impl Stage {
     }
 }
 
+/// Some of the points of an input.
+#[derive(Clone, Debug)]
+pub struct PointSample {
+    /// Their records.
+    pub records: Vec<u8>,
+    /// How these are laid out.
+    pub schema: Schema,
+    /// The lattice of their coordinates.
+    pub lattice: Lattice,
+}
+
 /// Hears how a conversion goes on; called from several threads.
 pub trait Progress: Sync {
     /// A part begins that will advance by `total` points.
     fn begin(&self, stage: Stage, total: u64);
     /// So many more points are done.
     fn advance(&self, points: u64);
+    /// About how many points, spread evenly over the input, it wants to have as soon as all of it
+    /// has been read; 0 for none.
+    fn wanted_points(&self) -> u64 {
+        0
+    }
+    /// Those points. The conversion goes on when this returns.
+    fn take_points(&self, _: PointSample) {}
 }
 
 /// Hears nothing.

@@ -69,7 +69,12 @@ impl<'a, 'p> Steps<'a, 'p> {
     pub fn survey(&mut self, resumed: Option<State>) -> Result<Surveyed<'p>, BuildError> {
         let blocks = self.sources.blocks();
         let (mut survey, mut held, mut next) = match resumed {
-            None => (Survey::new(blocks.len(), self.sources.expected_points()), Vec::new(), 0),
+            None => {
+                let expected = self.sources.expected_points();
+                let mut survey = Survey::new(blocks.len(), expected);
+                survey.want_records(self.progress.wanted_points(), expected);
+                (survey, Vec::new(), 0)
+            }
             Some(State { survey, step: Step::Survey { done, held }, .. }) => {
                 (survey, held.into_iter().map(|page| page.resume()).collect(), done)
             }

@@ -10,7 +10,7 @@ use crate::build::progress::Progress;
 use crate::build::rows::{color_offset, read_color};
 use crate::build::sources::Sources;
 use crate::input::{Block, BlockBuffer};
-use crate::points::{Schema, record_coordinates};
+use crate::points::{COORDINATE_BYTES, Schema, record_coordinates};
 
 /// Decoded records of one block that were put away.
 #[derive(Debug)]
@@ -40,6 +40,12 @@ pub struct Survey {
     pub sample: Vec<[i64; 3]>,
     /// How many points each of the sample stands for.
     pub sample_weight: u64,
+    /// Whole records of every so many points, if they are wanted: by block.
+    #[serde(skip)]
+    pub records: Vec<(usize, Vec<u8>)>,
+    /// How many points each of the records stands for; 0 if none are wanted.
+    #[serde(skip)]
+    pub record_weight: u64,
 }
 
 /// Most coordinates in the sample.
@@ -54,6 +60,7 @@ pub struct Part<'p> {
     sample: Vec<[i64; 3]>,
     held: Vec<HeldPage<'p>>,
     block_points: Vec<(usize, u64)>,
+    records: Vec<(usize, Vec<u8>)>,
     buffer: BlockBuffer,
     page: Option<PageBuffer<'p>>,
 }
@@ -69,6 +76,7 @@ impl<'p> Part<'p> {
             sample: Vec::new(),
             held: Vec::new(),
             block_points: Vec::new(),
+            records: Vec::new(),
             buffer: BlockBuffer::default(),
             page: None,
         }
@@ -148,7 +156,21 @@ impl Survey {
             sample: Vec::new(),
             // Not a power of two, so that it keeps no step with the scanner.
             sample_weight: (expected_points / SAMPLE_POINTS).max(4) | 1,
+            records: Vec::new(),
+            record_weight: 0,
         }
+    }
+
+    /// Takes whole records, too, so many of about so many points.
+    pub fn want_records(&mut self, wanted: u64, expected_points: u64) {
+        self.record_weight = if wanted > 0 { (expected_points / wanted).max(1) | 1 } else { 0 };
+    }
+
+    /// The records that were wanted, in the order of the input.
+    pub fn take_records(&mut self) -> Vec<u8> {
+        let mut records = std::mem::take(&mut self.records);
+        records.sort_by_key(|(block, _)| *block);
+        records.into_iter().flat_map(|(_, records)| records).collect()
     }
 
     /// Reads a block into a worker's part. With `hold` its records are kept in pages.
@@ -166,8 +188,16 @@ impl Survey {
         let shift = sources.shift(source);
         let mut buffer = std::mem::take(&mut part.buffer);
         let mut found = 0;
+        let mut wanted = Vec::new();
         let outcome = sources.read_block(source, block, &mut buffer, &mut |records| {
             part.look(records, schema, shift, found, self.sample_weight);
+            if self.record_weight > 0 {
+                let next = found.next_multiple_of(self.record_weight) - found;
+                let records = records.chunks_exact(record_bytes).skip(next as usize);
+                for record in records.step_by(self.record_weight as usize) {
+                    push_shifted(record, shift, &mut wanted);
+                }
+            }
             if let Some(pages) = hold {
                 part.hold(pages, number, found, records, record_bytes)?;
             }
@@ -178,6 +208,9 @@ impl Survey {
         });
         part.buffer = buffer;
         part.block_points.push((number, found));
+        if !wanted.is_empty() {
+            part.records.push((number, wanted));
+        }
         outcome
     }
 
@@ -197,6 +230,7 @@ impl Survey {
             self.max[axis] = self.max[axis].max(part.max[axis]);
         }
         self.sample.extend(part.sample);
+        self.records.extend(part.records);
         held.extend(part.held);
         part.block_points.iter().for_each(|&(block, points)| self.block_points[block] = points);
         if let Some(page) = part.page {
@@ -222,5 +256,15 @@ impl Survey {
             Some(first)
         });
         starts.collect()
+    }
+}
+
+/// Appends a record with its coordinates on the store's lattice, if they fit.
+fn push_shifted(record: &[u8], shift: [i64; 3], records: &mut Vec<u8>) {
+    let position = record_coordinates(record);
+    let shifted = [0, 1, 2].map(|axis| i32::try_from(i64::from(position[axis]) + shift[axis]));
+    if let [Ok(x), Ok(y), Ok(z)] = shifted {
+        [x, y, z].iter().for_each(|steps| records.extend_from_slice(&steps.to_le_bytes()));
+        records.extend_from_slice(&record[COORDINATE_BYTES..]);
     }
 }

@@ -5,8 +5,9 @@
 //! it and waits for its end, so that no temporary file stays behind.
 //!
 //! Scans without a store are shown at once as a preview, a store of some points of all of them,
-//! then as finer ones, then as they are. Previews come before the conversion begins, not beside
-//! it: they take a known small part of its time, and the coarse picture is there soonest.
+//! then as a finer one, then as they are. The first comes before the conversion begins, of points
+//! that are quick to get at; the finer one when the conversion has read all points, of some spread
+//! evenly over them. Both take a known small part of its time.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -18,11 +19,11 @@ use crossbeam_channel::{Receiver, Sender};
 use serde::Serialize;
 use tempfile::TempDir;
 
-use crate::build::{ConvertOptions, Progress, Sources, Stage, convert_sources};
+use crate::build::{ConvertOptions, PointSample, Progress, Sources, Stage, convert_sources};
 use crate::frame::FIRST_PICTURE_BYTES;
 use crate::store::{Store, is_store};
 use crate::viewer::kept::{can_write_beside, is_las, made_from, store_beside};
-use crate::viewer::preview::{FIRST_PREVIEW_POINTS, make_preview, preview_sizes};
+use crate::viewer::preview::{FIRST_PREVIEW_POINTS, make_preview, preview_of, preview_sizes};
 
 /// Called from the opening thread when there is news.
 pub type Wake = Arc<dyn Fn() + Send + Sync>;
@@ -234,14 +235,24 @@ impl Worker {
                 Err(error) => return self.tell(Opened::Failed(error.to_string())),
             }
         }
+        let mut even_points = 0;
         let has_preview = match &sources {
-            Some(sources) => self.show_previews(&first.path, sources),
+            Some(sources) => {
+                let mut sizes = self.preview_sizes(sources);
+                if sizes.len() > 1 {
+                    even_points = sizes.pop().unwrap_or(0);
+                    sizes.truncate(1);
+                }
+                self.show_previews(&first.path, sources, &sizes)
+            }
             None => {
                 let scans = jobs.iter().flat_map(|job| &job.scans).filter(|scan| is_las(scan));
                 let scans: Vec<_> = scans.cloned().collect();
                 // What is wrong with any of them is told by its conversion.
-                Sources::open(&scans, &ConvertOptions::default().read)
-                    .is_ok_and(|sources| self.show_previews(&first.path, &sources))
+                Sources::open(&scans, &ConvertOptions::default().read).is_ok_and(|sources| {
+                    let sizes = self.preview_sizes(&sources);
+                    self.show_previews(&first.path, &sources, &sizes)
+                })
             }
         };
         let mut converted = Vec::new();
@@ -249,7 +260,7 @@ impl Worker {
             if self.is_cancelled() {
                 return;
             }
-            match self.convert(job, sources.as_ref()) {
+            match self.convert(job, sources.as_ref(), even_points) {
                 Ok(file) if has_preview => converted.push(file),
                 Ok(file) => self.tell(Opened::Files(vec![file])),
                 // Whoever cancelled needs no message.
@@ -263,13 +274,17 @@ impl Worker {
         }
     }
 
-    /// Shows finer and finer previews; whether there was any.
-    fn show_previews(&self, path: &Path, sources: &Sources) -> bool {
+    fn preview_sizes(&self, sources: &Sources) -> Vec<u64> {
         let first = self.options.preview_points.unwrap_or(FIRST_PREVIEW_POINTS);
-        let listener = Listener { worker: self, path, is_preview: true };
+        preview_sizes(sources.expected_points(), first)
+    }
+
+    /// Shows finer and finer previews; whether there was any.
+    fn show_previews(&self, path: &Path, sources: &Sources, sizes: &[u64]) -> bool {
+        let listener = Listener { worker: self, path, is_preview: true, even_points: 0 };
         let (folder, cancelled) = (self.options.preview_folder.as_deref(), &self.shared.cancelled);
         let mut has_preview = false;
-        for points in preview_sizes(sources.expected_points(), first) {
+        for &points in sizes {
             // Without a preview there is only longer to wait; what is wrong the conversion tells.
             match make_preview(sources, points, folder, &listener, cancelled) {
                 Ok((store, folder)) if store.metadata().points > 0 => {
@@ -285,7 +300,13 @@ impl Worker {
     }
 
     /// Converts scans to a store beside them, or to a temporary one where that is not possible.
-    fn convert(&self, job: &Job, sources: Option<&Sources>) -> anyhow::Result<OpenedFile> {
+    /// As soon as all is read, so many points are shown as a preview.
+    fn convert(
+        &self,
+        job: &Job,
+        sources: Option<&Sources>,
+        even_points: u64,
+    ) -> anyhow::Result<OpenedFile> {
         let beside = store_beside(&job.path).filter(|beside| {
             !self.options.temporary && !beside.exists() && can_write_beside(beside)
         });
@@ -302,7 +323,7 @@ impl Worker {
         let mut options = ConvertOptions::default();
         // The points on view need memory as well.
         options.memory_bytes /= 2;
-        let progress = Listener { worker: self, path: &job.path, is_preview: false };
+        let progress = Listener { worker: self, path: &job.path, is_preview: false, even_points };
         let opened;
         let sources = match sources {
             Some(sources) => sources,
@@ -334,6 +355,8 @@ struct Listener<'a> {
     worker: &'a Worker,
     path: &'a Path,
     is_preview: bool,
+    /// Points of the preview that is shown when all have been read.
+    even_points: u64,
 }
 
 impl Progress for Listener<'_> {
@@ -347,5 +370,23 @@ impl Progress for Listener<'_> {
 
     fn advance(&self, points: u64) {
         self.worker.shared.points_done.fetch_add(points, Ordering::Relaxed);
+    }
+
+    fn wanted_points(&self) -> u64 {
+        self.even_points
+    }
+
+    fn take_points(&self, sample: PointSample) {
+        let listener = Listener { is_preview: true, even_points: 0, ..*self };
+        let folder = self.worker.options.preview_folder.as_deref();
+        let cancelled = &self.worker.shared.cancelled;
+        let preview = Sources::of_points(sample)
+            .map_err(anyhow::Error::from)
+            .and_then(|sources| preview_of(&sources, folder, &listener, cancelled));
+        // Without it there is only longer to wait.
+        if let Ok((store, folder)) = preview {
+            let preview = file(self.path, store, KeptIn::Preview, folder);
+            self.worker.tell(Opened::Preview(preview));
+        }
     }
 }

@@ -51,7 +51,16 @@ pub fn make_preview(
     progress: &dyn Progress,
     cancelled: &AtomicBool,
 ) -> anyhow::Result<(Store, Option<TempDir>)> {
-    let sample = sources.sampled(points);
+    preview_of(&sources.sampled(points), folder, progress, cancelled)
+}
+
+/// Makes a store of all points of the sources, as a preview.
+pub fn preview_of(
+    sample: &Sources,
+    folder: Option<&Path>,
+    progress: &dyn Progress,
+    cancelled: &AtomicBool,
+) -> anyhow::Result<(Store, Option<TempDir>)> {
     let bytes = sample.expected_points() * u64::from(sample.schema().record_bytes);
     let folder = folder.map_or_else(|| preview_folder(bytes), Path::to_path_buf);
     let folder = tempfile::Builder::new()
@@ -61,7 +70,7 @@ pub fn make_preview(
     let output = folder.path().join("preview.esker");
     let options =
         ConvertOptions { memory_bytes: available_memory() / 4, ..ConvertOptions::default() };
-    convert_sources(&sample, &output, &options, progress, cancelled)?;
+    convert_sources(sample, &output, &options, progress, cancelled)?;
     let store = Store::open(&output)?;
     if cfg!(unix) {
         drop(folder);

@@ -1,12 +1,16 @@
-//! A store as the first source of a conversion, to take in what does not fit it in place.
+//! Points that are records already as sources of a conversion: those of a store, to take in what
+//! does not fit it in place, and some of an input, for a first look.
 //!
-//! Its points come node by node, coarse to fine, which is the order in which they count as
+//! The points of a store come node by node, coarse to fine, which is the order in which they count as
 //! inserted. Their records are bytes here: layout and lattice of the result are the store's own.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
+use glam::DVec3;
+
 use crate::build::BuildError;
+use crate::build::progress::PointSample;
 use crate::build::sources::onto::sources_onto;
 use crate::build::sources::{Source, Sources};
 use crate::ids::NodeId;
@@ -14,7 +18,7 @@ use crate::input::{
     Column, CoordinateKind, Crs, ForeignFacts, ForeignFault, ForeignReader, ForeignScan,
     MOST_BLOCK_ROWS, Placing, ReadOptions, RowBlock, RowBuffer, Scan, ScanPart,
 };
-use crate::points::{COORDINATE_BYTES, Scalar, record_coordinates};
+use crate::points::{COORDINATE_BYTES, Lattice, Scalar, record_coordinates};
 use crate::store::{AppendixPart, SourceInfo, Store};
 
 /// What a store says of its own sources.
@@ -44,18 +48,112 @@ impl Sources {
         let lattice = store.metadata().lattice();
         let mut scan = ForeignScan::new(&path, bytes, Box::new(StoredReader::new(store)))?;
         scan.place(Placing { lattice, residual: None });
-        let first = Source {
-            scan: Scan::Foreign(Box::new(scan)),
-            adapter: None,
-            first_source: 0,
-            shift: [0; 3],
-            own_attributes: None,
-            warnings: Vec::new(),
-            fault: OnceLock::new(),
-            stored: Some(stored),
-        };
+        let first = source_of(scan, Some(stored));
         scans.insert(0, first);
         Ok(Sources { scans: scans.into(), schema, lattice, sample: None, salvage: options.salvage })
+    }
+}
+
+impl Sources {
+    /// Points at hand, as the source of a store with their layout and lattice.
+    pub fn of_points(sample: PointSample) -> Result<Self, BuildError> {
+        let PointSample { records, schema, lattice } = sample;
+        let record_bytes = schema.record_bytes as usize;
+        let mut bounds = [DVec3::INFINITY, DVec3::NEG_INFINITY];
+        for record in records.chunks_exact(record_bytes) {
+            let position = lattice.world(record_coordinates(record).map(i64::from).into());
+            bounds = [bounds[0].min(position), bounds[1].max(position)];
+        }
+        let points = (records.len() / record_bytes) as u64;
+        let block = |first_point| RowBlock {
+            first_point,
+            points: MOST_BLOCK_ROWS.min(points - first_point),
+            part: 0,
+        };
+        let blocks = (0..points).step_by(MOST_BLOCK_ROWS as usize).map(block).collect();
+        let bounds = if points > 0 { bounds } else { [DVec3::ZERO; 2] };
+        let facts = facts_of("points", points, bounds, lattice, record_bytes, blocks);
+        let bytes = records.len() as u64;
+        let reader = MemoryReader { records, record_bytes, lattice, facts };
+        let mut scan = ForeignScan::new(Path::new("points"), bytes, Box::new(reader))?;
+        scan.place(Placing { lattice, residual: None });
+        let source = source_of(scan, None);
+        Ok(Sources { scans: [source].into(), schema, lattice, sample: None, salvage: false })
+    }
+}
+
+/// A source whose records are those of the store as they are.
+fn source_of(scan: ForeignScan, stored: Option<Stored>) -> Source {
+    Source {
+        scan: Scan::Foreign(Box::new(scan)),
+        adapter: None,
+        first_source: 0,
+        shift: [0; 3],
+        own_attributes: None,
+        warnings: Vec::new(),
+        fault: OnceLock::new(),
+        stored,
+    }
+}
+
+/// Facts of records that are bytes behind their coordinates.
+fn facts_of(
+    format: &str,
+    points: u64,
+    bounds: [DVec3; 2],
+    lattice: Lattice,
+    record_bytes: usize,
+    blocks: Vec<RowBlock>,
+) -> ForeignFacts {
+    let components = (record_bytes - COORDINATE_BYTES) as u16;
+    let record = Column { name: "record".into(), scalar: Scalar::U8, components };
+    ForeignFacts {
+        format: format.into(),
+        points,
+        dropped_points: 0,
+        bounds,
+        coordinates: CoordinateKind::Lattice(lattice),
+        columns: if components > 0 { vec![record] } else { Vec::new() },
+        parts: vec![ScanPart { name: None, pose: None, points }],
+        blocks,
+        crs: Crs::default(),
+        skipped: Vec::new(),
+        warnings: Vec::new(),
+        unread: Vec::new(),
+    }
+}
+
+/// Takes records apart into coordinates and the rest.
+fn fill(rows: &mut RowBuffer, records: &[u8], record_bytes: usize, lattice: Lattice) {
+    rows.positions.clear();
+    rows.attributes.clear();
+    for record in records.chunks_exact(record_bytes) {
+        let steps = record_coordinates(record).map(i64::from);
+        rows.positions.push(lattice.world(steps.into()));
+        rows.attributes.extend_from_slice(&record[COORDINATE_BYTES..]);
+    }
+}
+
+/// Records in memory.
+#[derive(Debug)]
+struct MemoryReader {
+    records: Vec<u8>,
+    record_bytes: usize,
+    lattice: Lattice,
+    facts: ForeignFacts,
+}
+
+impl ForeignReader for MemoryReader {
+    fn facts(&self) -> &ForeignFacts {
+        &self.facts
+    }
+
+    fn read_block(&self, block: usize, rows: &mut RowBuffer) -> Result<(), ForeignFault> {
+        let RowBlock { first_point, points, .. } = self.facts.blocks[block];
+        let range = first_point as usize..(first_point + points) as usize;
+        let bytes = range.start * self.record_bytes..range.end * self.record_bytes;
+        fill(rows, &self.records[bytes], self.record_bytes, self.lattice);
+        Ok(())
     }
 }
 
@@ -90,25 +188,16 @@ impl StoredReader {
             }
         }
         let bounds = metadata.bounds();
-        let crs = Crs { epsg: metadata.crs.epsg, wkt: metadata.crs.wkt.clone(), ..Crs::default() };
-        let facts = ForeignFacts {
-            format: "esker".into(),
-            points: metadata.points,
-            dropped_points: 0,
-            bounds: [bounds.min, bounds.max],
-            coordinates: CoordinateKind::Lattice(metadata.lattice()),
-            columns: vec![Column {
-                name: "record".into(),
-                scalar: Scalar::U8,
-                components: (metadata.schema.record_bytes as usize - COORDINATE_BYTES) as u16,
-            }],
-            parts: vec![ScanPart { name: None, pose: None, points: metadata.points }],
-            blocks: rows,
-            crs,
-            skipped: Vec::new(),
-            warnings: Vec::new(),
-            unread: Vec::new(),
-        };
+        let facts = facts_of(
+            "esker",
+            metadata.points,
+            [bounds.min, bounds.max],
+            metadata.lattice(),
+            metadata.schema.record_bytes as usize,
+            rows,
+        );
+        let (epsg, wkt) = (metadata.crs.epsg, metadata.crs.wkt.clone());
+        let facts = ForeignFacts { crs: Crs { epsg, wkt, ..Crs::default() }, ..facts };
         StoredReader { store, facts, blocks }
     }
 }
@@ -124,14 +213,9 @@ impl ForeignReader for StoredReader {
         read.map_err(|error| ForeignFault::at(format!("node {node}"), error.to_string()))?;
         let record_bytes = self.store.metadata().schema.record_bytes as usize;
         let records = &rows.scratch[first * record_bytes..(first + points) * record_bytes];
-        let lattice = self.store.metadata().lattice();
-        rows.positions.clear();
-        rows.attributes.clear();
-        for record in records.chunks_exact(record_bytes) {
-            let steps = record_coordinates(record).map(i64::from);
-            rows.positions.push(lattice.world(steps.into()));
-            rows.attributes.extend_from_slice(&record[COORDINATE_BYTES..]);
-        }
+        // The records stand in the buffer that is filled.
+        let records = records.to_vec();
+        fill(rows, &records, record_bytes, self.store.metadata().lattice());
         Ok(())
     }
 }

@@ -11,6 +11,7 @@ mod device;
 mod memory_cloud;
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use device::gpu;
 use esker::frame::{ColorMode, FrameSettings, Loading, NodeSource, RasterPath, Renderer};
@@ -328,4 +329,62 @@ fn picking_gives_the_place_of_the_point() {
         assert_eq!(renderer.pick(0, 0, 0).unwrap(), None, "{path:?}: the corner is empty");
         assert_eq!(renderer.pick(9999, 0, 5).unwrap(), None);
     }
+}
+
+/// Nodes that arrive after the first picture come with a rising share of their points, and the
+/// frame is drawn again until all are there; the last picture is that without the option.
+#[test]
+fn nodes_that_arrive_appear_little_by_little() {
+    let cloud = cloud(60_000, UTM, 4);
+    let (eye, target, fov) = VIEWS[0];
+    let view = view(UTM, eye, target, fov);
+    for path in paths() {
+        let mut plain = renderer(path, &cloud, 1 << 30);
+        plain.render(&view, &all_points()).unwrap();
+        let expected = plain.read_picture().unwrap().expect("drawn");
+        let mut slow = renderer(path, &cloud, 1 << 30);
+        let mut settings = all_points();
+        settings.appear = Duration::from_millis(100);
+        settings.loading = Loading::Quota { bytes: 100_000 };
+        let (mut at_ms, mut most_appearing, mut before) = (0, 0, 0);
+        loop {
+            slow.pin_time(Duration::from_millis(at_ms));
+            let stats = slow.render(&view, &settings).unwrap();
+            if stats.unchanged {
+                break;
+            }
+            most_appearing = most_appearing.max(stats.nodes_appearing);
+            assert!(stats.points_drawn >= before, "{path:?}: {stats:?}");
+            (before, at_ms) = (stats.points_drawn, at_ms + 10);
+            assert!(at_ms < 100_000, "{path:?}: it never ends");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        assert!(most_appearing > 3, "{path:?}: {most_appearing}");
+        assert!(slow.read_picture().unwrap().expect("drawn") == expected, "{path:?}");
+    }
+}
+
+/// Levels that pass continuously: points come by shares while the camera nears, never in jumps as
+/// large as those of whole nodes, and all of them in the end.
+#[test]
+fn continuous_levels_have_no_steps() {
+    let cloud = cloud(60_000, UTM, 4);
+    let mut renderer = renderer(RasterPath::Cpu, &cloud, 1 << 30);
+    let mut largest = [0.0f64; 2];
+    for (way, continuous) in [false, true].into_iter().enumerate() {
+        let mut settings = all_points();
+        settings.cut.error_px = 1.0;
+        settings.cut.continuous = continuous;
+        let mut before = 0.0;
+        for step in 0..120 {
+            let eye = 2000.0 * 0.97f64.powi(step);
+            let view = view(UTM, [65.0, 65.0 - eye, 80.0], [65.0, 65.0, 65.0], 60.0);
+            let points = renderer.render(&view, &settings).unwrap().points_drawn as f64;
+            if step > 0 {
+                largest[way] = largest[way].max(points / before - 1.0);
+            }
+            before = points;
+        }
+    }
+    assert!(largest[1] < 0.6 * largest[0], "plain and continuous: {largest:?}");
 }

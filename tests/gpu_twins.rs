@@ -33,6 +33,11 @@ impl Random {
 
 /// `count` points on two bumpy sheets within a cube of `bits` bits.
 fn cloud(count: usize, bits: u32, depth: u32, seed: u64) -> MemoryCloud {
+    cloud_of(count, bits, depth, seed, 0)
+}
+
+/// The same with the bits of `flip` turned over in each colour.
+fn cloud_of(count: usize, bits: u32, depth: u32, seed: u64, flip: u32) -> MemoryCloud {
     let mut random = Random(seed);
     let edge = (1u64 << bits) as f64;
     let mut point = || {
@@ -41,7 +46,7 @@ fn cloud(count: usize, bits: u32, depth: u32, seed: u64) -> MemoryCloud {
         let sheet = f64::from(random.next() % 2);
         let z = 0.2 + 0.5 * sheet + 0.1 * (9.0 * x).sin() * (7.0 * y).cos();
         let cell = [x, y, z].map(|v| (v * edge) as u32);
-        (UVec3::from(cell), 0xff00_0000 | random.next() & 0xff_ffff)
+        (UVec3::from(cell), 0xff00_0000 | (random.next() ^ flip) & 0xff_ffff)
     };
     let points: Vec<_> = (0..count).map(|_| point()).collect();
     // The cloud is about 10 m wide whatever its lattice.
@@ -244,4 +249,39 @@ fn assert_finished(expected: &Picture, picture: &Picture, what: &str) {
     let differing = (0..expected.colors.len()).filter(differs).count();
     let share = differing as f64 / expected.colors.len() as f64;
     assert!(share <= 0.001, "{what}: {differing} pixels differ");
+}
+
+/// The nearest point wins, of equal ones the smallest colour: so the order in which clouds, and
+/// with them nodes, are drawn has no say.
+#[test]
+fn the_order_of_nodes_does_not_matter() {
+    if gpu().is_none() {
+        return;
+    }
+    // The second cloud has the places of the first in other colours: all depths are tied.
+    let first = Arc::new(cloud(5_000, 12, 4, 3));
+    let second = Arc::new(recolored(5_000, 12, 4, 3));
+    let view = view(160, 120, EYES[0]);
+    let settings = settings(SplatPolicy::PerPoint, 2.0);
+    for path in [RasterPath::Cpu, RasterPath::Compute, RasterPath::Compute32] {
+        let picture = |order: [&Arc<MemoryCloud>; 2]| {
+            let mut renderer = match path {
+                RasterPath::Cpu => Renderer::on_cpu(1 << 30),
+                path => Renderer::on_gpu(gpu().expect("asked before"), path, 1 << 30).unwrap(),
+            };
+            let source = |cloud: &Arc<MemoryCloud>| cloud.clone() as Arc<dyn NodeSource>;
+            renderer.set_scene(order.map(source).into());
+            renderer.render(&view, &settings).unwrap();
+            renderer.read_picture().unwrap().expect("drawn")
+        };
+        let (forwards, backwards) = (picture([&first, &second]), picture([&second, &first]));
+        assert!(forwards == backwards, "{path:?}");
+        let alone = draw(path, &first, &view, &settings);
+        assert!(alone.colors != forwards.colors, "{path:?}: the second cloud is seen too");
+    }
+}
+
+/// The points of [`cloud`] in other colours.
+fn recolored(count: usize, bits: u32, depth: u32, seed: u64) -> MemoryCloud {
+    cloud_of(count, bits, depth, seed, 0x5a_a55a)
 }

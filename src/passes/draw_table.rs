@@ -66,7 +66,7 @@ pub struct DrawTable {
     pub nodes: Vec<GpuNode>,
     /// In drawing order.
     pub draws: Vec<DrawnNode>,
-    /// Sum of the draws' counts.
+    /// Points drawn; of nodes of which a share is, about as many.
     pub points: u64,
     /// About how many pixels the splats have together, hidden ones included: each node's at the
     /// depth of its middle.
@@ -114,7 +114,12 @@ impl DrawTable {
         for (index, cloud) in clouds.iter().enumerate() {
             self.add_cloud(index, cloud, view, splat);
         }
-        self.points = self.draws.iter().map(|draw| u64::from(draw.count)).sum();
+        let points = |draw: &DrawnNode| {
+            let node = &self.nodes[draw.slot as usize];
+            let others = u64::from(draw.count - node.whole_count.min(draw.count));
+            u64::from(draw.count) - others + (others * u64::from(node.kept_share) >> 32)
+        };
+        self.points = self.draws.iter().map(points).sum();
         let bytes = |draw: &DrawnNode| {
             let local_bits = self.nodes[draw.slot as usize].local_bits;
             u64::from(draw.count) * 4 * u64::from(position_words(local_bits) + 1)
@@ -234,6 +239,8 @@ impl DrawTable {
             draw.single_pixels = largest_here_px <= 1.0;
             self.largest_splat_px = self.largest_splat_px.max(largest_here_px);
             let middle = (bounds.center() - view.camera.eye).dot(view.camera.forward);
+            // Around the eye, points are about as far as the box is wide.
+            let middle = middle.max(0.25 * bounds.diagonal());
             let largest_px = splat.max_px.max(1.0);
             let typical_px = fixed_px
                 .unwrap_or_else(|| (splat_px_m / middle.max(view.camera.near)).min(largest_px))

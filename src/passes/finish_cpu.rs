@@ -36,7 +36,7 @@ impl Default for EyeDome {
 /// Largest radius of either, pixels.
 pub const MAX_FINISH_RADIUS_PX: u32 = 8;
 /// Response of eye-dome lighting of strength 1.
-const EYE_DOME_UNIT: f32 = 12.0;
+const EYE_DOME_UNIT: f32 = 2.5;
 
 impl FinishSettings {
     /// Whether a picture stays as it is.

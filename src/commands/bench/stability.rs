@@ -223,13 +223,13 @@ fn picture(
 
 fn note(row: &mut Row, reference: &Picture, picture: &Picture, budget: u64) {
     let covered = reference.covered();
-    row.empty_pictures += u32::from(covered > 0 && picture.covered() == 0);
     row.not_a_number +=
         picture.distances.iter().filter(|distance| distance.is_nan()).count() as u64;
-    // A budget below the number of points leaves some out on purpose.
+    // A budget below the number of points leaves some out on purpose, maybe all that are seen.
     if covered == 0 || budget < row.points {
         return;
     }
+    row.empty_pictures += u32::from(picture.covered() == 0);
     let error = compare(pixels(reference), pixels(picture));
     let wrong = (0..reference.colors.len())
         .filter(|&pixel| reference.colors[pixel] != picture.colors[pixel])
@@ -361,8 +361,9 @@ fn write_plot(folder: &Path, rows: &[Row]) -> anyhow::Result<()> {
     for (sweep, x_label) in sweeps {
         let of = |path: &str, value: fn(&Row) -> f64| -> Vec<(f64, f64)> {
             let rows = rows.iter().filter(|row| row.sweep == sweep && row.path == path);
-            // The origin stands where a thousandth of a metre does.
-            rows.map(|row| (row.value.max(1e-6), value(row))).collect()
+            // No offset stands a little left of the smallest.
+            let place = |value: f64| if value > 0.0 { value } else { 10.0 };
+            rows.map(|row| (place(row.value), value(row))).collect()
         };
         let panel = |title: &str, y_label: &str, series| Panel {
             title: format!("{sweep}: {title}"),

@@ -297,6 +297,13 @@ fn what_fits_starts_no_loader() {
             assert_eq!(stats.stream.is_some(), expected, "{room}");
             assert_eq!(stats.stream.map_or(0, |s| s.loader_threads), 8 * u32::from(expected));
         }
+        // A picture that still holds tells it too.
+        while !some.render(&flight(9), &settings(1 << 20)).unwrap().complete {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        let still = some.render(&flight(9), &settings(1 << 20)).unwrap();
+        assert!(still.unchanged);
+        assert_eq!(still.stream.is_some(), expected);
         assert_eq!(some.loader().is_some(), expected);
         // A picture on its own needs none either: it waits.
         let mut alone = renderer(cloud.clone(), room, streaming);

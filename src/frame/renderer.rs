@@ -210,6 +210,7 @@ impl Renderer {
                 unchanged: true,
                 complete: true,
                 node_bytes: self.cache.held_bytes(),
+                stream: self.stream_stats(),
                 frame_ms: milliseconds(start),
                 problems: self.problems.clone(),
                 ..FrameStats::default()

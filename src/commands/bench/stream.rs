@@ -452,6 +452,7 @@ struct Row {
     frame_ms: f64,
     stats: FrameStats,
     reads: u64,
+    /// Of the process, without the pictures that are kept to be looked at.
     rss_bytes: u64,
 }
 
@@ -552,14 +553,16 @@ fn fly(
     let views = cameras::flight(store, plan.size, plan.flight_frames)?;
     let settings = settings(8 * MIB);
     let step = (plan.flight_frames / plan.looked_at.max(1)).max(1);
-    let (mut frames, mut shown) = (Vec::new(), Vec::new());
+    let (mut frames, mut shown) = (Vec::new(), Vec::<(u32, Picture)>::new());
     let began = Instant::now();
     let mut paused = Duration::ZERO;
     for (frame, view) in (0u32..).zip(&views) {
         let frame_ms = drawing.frame(&mut renderer, view, &settings)?;
         let seconds = (began.elapsed() - paused).as_secs_f64();
         let (stats, reads) = (renderer.stats().clone(), source.reads());
-        let rss_bytes = rss_bytes().unwrap_or(0);
+        // Pictures that are kept to be looked at later are not the renderer's.
+        let kept_bytes: u64 = shown.iter().map(|(_, picture)| picture_bytes(picture)).sum();
+        let rss_bytes = rss_bytes().unwrap_or(0).saturating_sub(kept_bytes);
         frames.push(Row { frame, seconds, frame_ms, stats, reads, rss_bytes });
         if frame % step == step - 1 {
             // Reading back is no part of the flight.
@@ -729,6 +732,10 @@ impl Flight {
         }
         Ok(())
     }
+}
+
+fn picture_bytes(picture: &Picture) -> u64 {
+    4 * (picture.colors.len() + picture.distances.len()) as u64
 }
 
 fn pixels(picture: &Picture) -> Pixels<'_> {

@@ -3,7 +3,8 @@
 //! Recursive least squares that forgets two per cent per frame, in relative units, with steps of at
 //! most five per cent. Frames of a path that all look alike do not tell prices apart (the condition
 //! of what is remembered says so): then all prices move together, which one number can always tell.
-//! What is left over, slowly, goes into a constant.
+//! What is left over, slowly, goes into a constant, and what neighbouring frames have in common that
+//! no count tells into a factor that follows at once.
 
 use std::collections::VecDeque;
 
@@ -19,6 +20,8 @@ const STEP: f64 = 0.05;
 const BIAS_GAIN: f64 = 0.02;
 /// Largest share of a frame that the constant may be.
 const MOST_BIAS: f64 = 0.25;
+/// Factor on the worst excess of the last frames, because the next may be worse.
+const MARGIN: f64 = 1.25;
 /// Residuals that say what an outlier is.
 const RESIDUALS: usize = 15;
 /// Relative residual that never counts as an outlier.
@@ -27,6 +30,10 @@ const USUAL: f64 = 0.05;
 const CHANGED: u32 = 6;
 /// Relative residual that is far off.
 const FAR: f64 = 0.2;
+/// Share of the last frame's ratio that the next prediction takes over at once, and share of that
+/// which stays from frame to frame: neighbouring frames are alike in what no count tells.
+const TREND: f64 = 0.4;
+const TREND_STAYS: f64 = 0.98;
 /// Weight of the present prices against a remembered frame.
 const PRIOR: f64 = 1e-3;
 
@@ -44,6 +51,8 @@ pub enum Rejected {
 pub struct OnlineModel {
     model: CostModel,
     bias_ms: f64,
+    /// Factor by which the last frames were off.
+    trend: f64,
     /// Which of vertices, pixels, draws, switches have a price.
     active: Vec<usize>,
     memory: Triangle,
@@ -65,6 +74,7 @@ impl OnlineModel {
         OnlineModel {
             model,
             bias_ms: 0.0,
+            trend: 1.0,
             memory: Triangle::new(active.len()),
             active,
             residuals: VecDeque::with_capacity(RESIDUALS),
@@ -84,18 +94,23 @@ impl OnlineModel {
 
     /// Expected time of a workload, milliseconds.
     pub fn predict(&self, work: &Workload) -> f64 {
+        self.by_prices(work) * self.trend
+    }
+
+    /// Without the trend of the last frames.
+    fn by_prices(&self, work: &Workload) -> f64 {
         let bare = self.model.predict(work);
         (bare + self.bias_ms.clamp(-MOST_BIAS * bare, MOST_BIAS * bare)).max(0.0)
     }
 
     /// Time that hardly any frame exceeds.
     pub fn predict_safely(&self, work: &Workload) -> f64 {
-        self.predict(work) * (1.0 + self.guard.share())
+        self.predict(work) * (1.0 + self.guard_share())
     }
 
     /// The share that is added for safety.
     pub fn guard_share(&self) -> f64 {
-        self.guard.share()
+        MARGIN * self.guard.share()
     }
 
     /// Whether residuals have lain on one side for long: time to calibrate anew.
@@ -134,7 +149,10 @@ impl OnlineModel {
         self.guard.observe(expected_ms, time_ms);
         self.drift.observe(expected_ms, time_ms);
 
-        let residual = time_ms / expected_ms - 1.0;
+        let off = (time_ms / expected_ms).clamp(0.5, 2.0);
+        self.trend = (self.trend * off.powf(TREND)).powf(TREND_STAYS);
+
+        let residual = time_ms / self.by_prices(work) - 1.0;
         let weight = self.weight_of(residual);
         self.far = match residual {
             r if r > FAR => self.far.max(0) + 1,
@@ -148,7 +166,7 @@ impl OnlineModel {
         // In units of the present prices: all ones would predict the present model.
         let whole = self.parts(work);
         let row: Vec<f64> = self.active.iter().map(|&i| weight * whole[i] / time_ms).collect();
-        let bias_ms = self.predict(work) - self.model.predict(work);
+        let bias_ms = self.by_prices(work) - self.model.predict(work);
         let aim = weight * (time_ms - bias_ms) / time_ms;
         self.memory.fade(FORGETTING.sqrt());
         self.memory.absorb(row, aim);
@@ -157,7 +175,7 @@ impl OnlineModel {
             *self.price(self.active[index]) *= factor;
         }
         self.memory.rescale(&factors);
-        self.bias_ms += BIAS_GAIN * weight * weight * (time_ms - self.predict(work));
+        self.bias_ms += BIAS_GAIN * weight * weight * (time_ms - self.by_prices(work));
         Ok(())
     }
 

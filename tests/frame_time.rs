@@ -196,6 +196,8 @@ fn frames_are_measured_without_waiting_for_them() {
         last = paced(&mut renderer, &view(step), 20.0).0;
         waits += u64::from(step >= 10) * last.blocking_waits;
     }
+    // Software drivers do not survive the end of a process that they still draw in.
+    gpu.wait().expect("it ends");
     assert!(!gpu.has_timestamps() || waits == 0, "{waits} waits in 50 frames");
     assert!(last.frames_learned + last.frames_together > 0, "{last:?}");
     assert!(last.checked_measured_ms.is_some_and(|ms| ms > 0.0), "{last:?}");

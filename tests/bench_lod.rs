@@ -36,6 +36,17 @@ fn a_quick_run_writes_all_rows_and_a_plot() {
     {
         assert!(table.contains(words), "{words} is missing in:\n{table}");
     }
+    for words in ["Options at 1 px", "eye-dome", "continuous", "Steps: the camera goes"] {
+        assert!(table.contains(words), "{words} is missing in:\n{table}");
+    }
+    let options = std::fs::read_to_string(output.join("lod-options-square.csv")).expect("rows");
+    assert_eq!(options.lines().count(), 1 + 3 * 16, "three views, sixteen options: {options}");
+    // Without an adapter the suite says that it measures no paths.
+    if !table.contains("not measured") {
+        assert!(table.contains("bare loop") && table.contains("compute32"), "{table}");
+        let paths = std::fs::read_to_string(output.join("lod-paths-square.csv")).expect("rows");
+        assert!(paths.contains("point list") && paths.contains("grown"), "{paths}");
+    }
     let csv = std::fs::read_to_string(output.join("lod.csv")).expect("the rows");
     let rows: Vec<&str> = csv.lines().skip(1).collect();
     let of_study = |study: &str| rows.iter().filter(|row| row.contains(study)).count();

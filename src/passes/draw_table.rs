@@ -117,7 +117,7 @@ impl DrawTable {
         let points = |draw: &DrawnNode| {
             let node = &self.nodes[draw.slot as usize];
             let others = u64::from(draw.count - node.whole_count.min(draw.count));
-            u64::from(draw.count) - others + (others * u64::from(node.kept_share) >> 32)
+            u64::from(draw.count) - others + ((others * u64::from(node.kept_share)) >> 32)
         };
         self.points = self.draws.iter().map(points).sum();
         let bytes = |draw: &DrawnNode| {

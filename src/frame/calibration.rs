@@ -201,7 +201,7 @@ impl Renderer {
                 on_gpu.gpu.wait()?;
                 let total_ms = milliseconds(start);
                 let measured = on_gpu.timer.take_measured().pop();
-                let points_ms = match measured {
+                let points_ms = match measured.filter(|_| on_gpu.has_true_clock()) {
                     Some(frame) => super::pacing::points_ms(&frame.passes),
                     // Without the GPU's clock, the time from the last command to its end.
                     None => total_ms - cpu_ms,

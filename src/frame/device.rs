@@ -83,6 +83,12 @@ impl OnGpu {
         })?
     }
 
+    /// Whether the stamps around passes tell their time. Those of llvmpipe do not: both stamps of a
+    /// compute pass are taken with the next pass that rasterizes.
+    pub(super) fn has_true_clock(&self) -> bool {
+        self.timer.measures() && !self.gpu.is_software()
+    }
+
     pub(super) fn max_pixels(&self) -> u64 {
         match &self.pass {
             GpuPass::Compute(_) => PointsCompute::max_pixels(&self.gpu),

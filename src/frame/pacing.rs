@@ -113,7 +113,7 @@ const LEARN_EVERY: u64 = 8;
 const MOST_UNDER_WAY: usize = 16;
 /// Largest share of the target that the system's noise may claim; what is beyond is the guard's.
 const MOST_NOISE: f64 = 0.2;
-/// Where the device has no clock, one frame in so many is waited for.
+/// Where the device has no clock that can be trusted, one frame in so many is waited for.
 #[cfg(feature = "gpu")]
 const SYNC_EVERY: u64 = 8;
 
@@ -245,7 +245,7 @@ impl Renderer {
             (_, None) => {}
             (Device::Cpu { .. }, Some(next)) => pacer.check(&next, drawn_ms),
             #[cfg(feature = "gpu")]
-            (Device::Gpu(on_gpu), Some(next)) if on_gpu.timer.measures() => {
+            (Device::Gpu(on_gpu), Some(next)) if on_gpu.has_true_clock() => {
                 if pacer.under_way.len() == MOST_UNDER_WAY {
                     pacer.under_way.pop_front();
                 }
@@ -284,6 +284,9 @@ impl Renderer {
         #[cfg(feature = "gpu")]
         if let (Some(pacer), Device::Gpu(on_gpu)) = (&mut self.pacer, &mut self.device) {
             for measured in on_gpu.timer.take_measured() {
+                if measured.choice == Some(1) {
+                    pacer.stats.frames_cut_short += 1;
+                }
                 pacer.under_way.retain(|frame| frame.frame >= measured.frame);
                 let is_this = pacer.under_way.front().filter(|f| f.frame == measured.frame);
                 let Some(frame) = is_this.copied() else { continue };
@@ -291,10 +294,9 @@ impl Renderer {
                 let points_ms = points_ms(&measured.passes);
                 let all_ms: f64 = measured.passes.iter().map(|(_, ms)| ms).sum();
                 pacer.note_setup((all_ms - points_ms) / frame.target_px);
-                match measured.choice {
-                    // What was drawn instead says nothing about what was expected.
-                    Some(1) => pacer.stats.frames_cut_short += 1,
-                    _ => pacer.check(&frame, points_ms),
+                // What was drawn instead says nothing about what was expected.
+                if measured.choice != Some(1) {
+                    pacer.check(&frame, points_ms);
                 }
             }
         }

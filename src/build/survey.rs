@@ -163,7 +163,7 @@ impl Survey {
 
     /// Takes whole records, too, so many of about so many points.
     pub fn want_records(&mut self, wanted: u64, expected_points: u64) {
-        self.record_weight = if wanted > 0 { (expected_points / wanted).max(1) | 1 } else { 0 };
+        self.record_weight = expected_points.checked_div(wanted).map_or(0, |w| w.max(1) | 1);
     }
 
     /// The records that were wanted, in the order of the input.

@@ -181,6 +181,8 @@ impl Renderer {
         let work = self.trial_workload(view, settings);
         let start = Instant::now();
         self.prepare(view, settings, settings)?;
+        #[cfg(feature = "gpu")]
+        let prepared_ms = milliseconds(start);
         self.draw(view, Tile::whole(view), settings)?;
         let cpu_ms = milliseconds(start);
         let spent = |renderer: &Renderer, pass: &str| {
@@ -189,7 +191,8 @@ impl Renderer {
             of_pass.map(|p| p.pass_ms).sum::<f64>()
         };
         // The first frame reads nodes; later ones do not.
-        let cpu_ms = cpu_ms - spent(self, "load");
+        let load_ms = spent(self, "load");
+        let cpu_ms = cpu_ms - load_ms;
         match &mut self.device {
             Device::Cpu { .. } => {
                 let drawing_ms = spent(self, "points") + spent(self, "resolve");
@@ -203,10 +206,15 @@ impl Renderer {
                 let measured = on_gpu.timer.take_measured().pop();
                 let points_ms = match measured.filter(|_| on_gpu.has_true_clock()) {
                     Some(frame) => super::pacing::points_ms(&frame.passes),
-                    // Without the GPU's clock, the time from the last command to its end.
-                    None => total_ms - cpu_ms,
+                    // Without the GPU's clock, the time from the first command to the end. Software
+                    // adapters work while commands are handed over.
+                    None => total_ms - prepared_ms,
                 };
-                Ok(FrameTime { work, points_ms, cpu_ms, total_ms })
+                let cpu_ms = match on_gpu.has_true_clock() {
+                    true => cpu_ms,
+                    false => prepared_ms - load_ms,
+                };
+                Ok(FrameTime { work, points_ms, cpu_ms, total_ms: total_ms - load_ms })
             }
         }
     }

@@ -234,7 +234,16 @@ impl Renderer {
             of_pass.map(|p| p.pass_ms).sum::<f64>()
         };
         let drawn_ms = cpu_spent("points");
-        let others_ms = cpu_spent("points") + cpu_spent("resolve") + cpu_spent("load");
+        #[cfg(feature = "gpu")]
+        let prepared_ms = cpu_spent("load") + cpu_spent("select");
+        let others_ms = match &self.device {
+            Device::Cpu { .. } => drawn_ms + cpu_spent("resolve") + cpu_spent("load"),
+            #[cfg(feature = "gpu")]
+            Device::Gpu(on_gpu) if on_gpu.has_true_clock() => cpu_spent("load"),
+            // Software adapters draw while commands are handed over.
+            #[cfg(feature = "gpu")]
+            Device::Gpu(_) => cpu_spent("load") + cpu_spent("draw"),
+        };
         let Some(pacer) = &mut self.pacer else { return Ok(()) };
         let next = pacer.next.take();
         let cpu_ms = (milliseconds(started) - others_ms).max(0.0) + pacer.stats.planning_ms;
@@ -255,10 +264,9 @@ impl Renderer {
             #[cfg(feature = "gpu")]
             (Device::Gpu(on_gpu), Some(next)) => {
                 if pacer.frames.is_multiple_of(SYNC_EVERY) {
-                    let waiting = Instant::now();
                     on_gpu.gpu.wait()?;
                     let setup_ms = pacer.setup_px_ms * next.target_px;
-                    pacer.check(&next, milliseconds(waiting) - setup_ms);
+                    pacer.check(&next, milliseconds(started) - prepared_ms - setup_ms);
                 }
             }
         }

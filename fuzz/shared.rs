@@ -141,8 +141,11 @@ fn with_store_checksums(bytes: &[u8]) -> Vec<u8> {
     if bytes.len() < 256 {
         return bytes;
     }
-    // The second slot of the header must not hide the first.
+    // One slot of the header is kept right: the second, if it begins as one.
     if bytes[8] > 1 {
+        if bytes[128..136] == bytes[..8] {
+            bytes.copy_within(128..256, 0);
+        }
         bytes[128..256].fill(0);
         bytes[12..16].copy_from_slice(&2u32.to_le_bytes());
     }

@@ -9,6 +9,7 @@ use std::collections::HashMap;
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use glam::UVec3;
 use serde::{Deserialize, Serialize};
@@ -508,7 +509,13 @@ impl PartFile {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
             Err(error) => return Err(error),
         };
-        lock_at_once(&file)?;
+        // A process that is being started somewhere in this program has all its files for a moment.
+        let mut tries = (1..20).map(|_| std::thread::sleep(Duration::from_millis(5)));
+        while let Err(error) = lock_at_once(&file) {
+            if tries.next().is_none() {
+                return Err(error);
+            }
+        }
         std::fs::remove_file(path)
     }
 

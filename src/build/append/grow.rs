@@ -141,7 +141,7 @@ impl Growth<'_> {
         let child_bits = self.rules.root_bits - depth - 1;
         // Rows of the node's own points, read when they are needed.
         let mut own_rows = Vec::new();
-        let beyond = if own.overflow() > 0 { own.beyond() } else { vec![false; own.keys.len()] };
+        let beyond = own.beyond();
         for group in down.chunk_by(|a, b| a.key.ancestor(child_bits) == b.key.ancestor(child_bits))
         {
             let child_code = group[0].key.ancestor(child_bits);
@@ -185,7 +185,8 @@ impl Growth<'_> {
             }
             let is_new = |(entry, _): &&(Entry<K>, bool)| matches!(entry.row, RowPlace::Arrived(_));
             let new_points = stay.iter().filter(is_new).count() as u64;
-            let finished = self.rebuild(depth, &own, own_rows, &leaving, &carried, stay, builder);
+            let finished =
+                self.rebuild(depth, &own, own_rows, &beyond, &leaving, &carried, stay, builder);
             sink.grown(Grown { finished, old_overflow: own.overflow(), new_points });
         }
         drop((own, carried));
@@ -286,13 +287,13 @@ impl Growth<'_> {
         depth: u32,
         own: &Own<K>,
         mut rows: Vec<u8>,
+        beyond: &[bool],
         leaving: &[bool],
         carried: &[u8],
         stay: Vec<(Entry<K>, bool)>,
         builder: &mut NodeBuilder<K>,
     ) -> FinishedNode {
         let mut members: Vec<(K, u64, u32, bool)> = Vec::with_capacity(own.keys.len() + stay.len());
-        let beyond = own.beyond();
         for (i, &key) in own.keys.iter().enumerate().filter(|(i, _)| !leaving[*i]) {
             members.push((key, i as u64, i as u32, !beyond[i]));
         }

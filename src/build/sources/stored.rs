@@ -209,13 +209,13 @@ impl ForeignReader for StoredReader {
 
     fn read_block(&self, block: usize, rows: &mut RowBuffer) -> Result<(), ForeignFault> {
         let (node, first, points) = self.blocks[block];
-        let read = self.store.read_records(node, &mut rows.scratch);
+        let mut records = std::mem::take(&mut rows.scratch);
+        let read = self.store.read_records(node, &mut records);
         read.map_err(|error| ForeignFault::at(format!("node {node}"), error.to_string()))?;
         let record_bytes = self.store.metadata().schema.record_bytes as usize;
-        let records = &rows.scratch[first * record_bytes..(first + points) * record_bytes];
-        // The records stand in the buffer that is filled.
-        let records = records.to_vec();
-        fill(rows, &records, record_bytes, self.store.metadata().lattice());
+        let wanted = first * record_bytes..(first + points) * record_bytes;
+        fill(rows, &records[wanted], record_bytes, self.store.metadata().lattice());
+        rows.scratch = records;
         Ok(())
     }
 }

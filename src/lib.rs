@@ -10,6 +10,7 @@ pub mod geometry;
 pub mod gpu;
 pub mod ids;
 pub mod input;
+pub mod mesh;
 pub mod metrics;
 pub mod octree;
 pub mod output;

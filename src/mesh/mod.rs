@@ -1,0 +1,14 @@
+//! Triangle models: shapes, materials and the objects that place them in the world.
+//!
+//! A shape ([`Mesh`]) keeps f32 positions about its own origin; an [`Object`] places it in the world
+//! in f64. So a building at UTM coordinates is as exact as one at the origin, and one shape may
+//! stand in thousands of places. A [`Model`] holds shapes, materials and objects together; objects
+//! are what is drawn, hidden and moved.
+//!
+//! Not here: files (`input`), drawing (`passes`), which objects are drawn (`visibility`).
+
+mod model;
+mod shape;
+
+pub use model::{Material, Model, ModelError, Object, Texture};
+pub use shape::Mesh;

@@ -30,6 +30,11 @@ index_type!(
     NodeId
 );
 index_type!(
+    /// Index of a node of a [`BoundingHierarchy`](crate::hierarchy::BoundingHierarchy), below its
+    /// `node_limit`.
+    TreeNodeId
+);
+index_type!(
     /// Index of a shape in a [`Model`](crate::mesh::Model).
     MeshId
 );

@@ -8,6 +8,7 @@ pub mod commands;
 pub mod frame;
 pub mod geometry;
 pub mod gpu;
+pub mod hierarchy;
 pub mod ids;
 pub mod input;
 pub mod mesh;

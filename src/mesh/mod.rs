@@ -8,7 +8,9 @@
 //! Not here: files (`input`), drawing (`passes`), which objects are drawn (`visibility`).
 
 mod model;
+pub mod scenes;
 mod shape;
+mod shapes;
 
 pub use model::{Material, Model, ModelError, Object, Texture};
 pub use shape::Mesh;

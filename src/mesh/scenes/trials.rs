@@ -1,0 +1,87 @@
+//! Scenes that try a method: random boxes, nested shells, a wall with one window, and plates that
+//! hide one block each.
+
+use glam::DVec3;
+
+use super::{Maker, ModelScene, placed};
+use crate::mesh::shapes::{Solid, block, sphere};
+use crate::sampling::Random;
+
+/// Random boxes in a cube whose edge grows with their number.
+pub(super) fn boxes(size: u32, seed: u64) -> ModelScene {
+    let mut maker = Maker::default();
+    let shape = maker.mesh(block(DVec3::ONE));
+    let colors: Vec<_> =
+        (0..8u8).map(|i| maker.material([90 + 20 * i, 230 - 20 * i, 120 + 15 * (i % 5)])).collect();
+    let edge = 4.0 * f64::from(size).cbrt();
+    for i in 0..u64::from(size) {
+        let mut random = Random::new(seed, i + 1);
+        let mut unit = || DVec3::new(random.unit(), random.unit(), random.unit());
+        let (at, shape_size) = (unit() * edge, unit() * 2.5 + 0.2);
+        let turn = random.between(0.0, 3.0);
+        let color = colors[(i % 8) as usize];
+        maker.place(shape, color, placed(shape_size, turn, at));
+    }
+    let at = |x: f64, y: f64, z: f64| DVec3::new(x, y, z) * edge;
+    maker.finish(vec![at(-0.2, 0.4, 0.5), at(0.5, 0.5, 0.45), at(1.1, 0.7, 0.6)])
+}
+
+/// Closed spheres inside each other; the walk goes from outside to the middle.
+pub(super) fn shells(size: u32) -> ModelScene {
+    let mut maker = Maker::default();
+    let ball = maker.mesh(sphere(24, 36));
+    let colors = [[190, 90, 70], [80, 150, 180]].map(|color| maker.material(color));
+    for i in 0..size {
+        let radius = 1.0 + f64::from(i);
+        let place = placed(DVec3::splat(radius), 0.1 * f64::from(i), DVec3::ZERO);
+        maker.place(ball, colors[(i % 2) as usize], place);
+    }
+    let far = f64::from(size) + 4.0;
+    maker.finish(vec![DVec3::new(-far, -0.3, 0.2), DVec3::new(-0.2, -0.1, 0.1)])
+}
+
+/// A wall across y = 0 with one window, and boxes behind it.
+pub(super) fn window(size: u32, seed: u64) -> ModelScene {
+    let mut maker = Maker::default();
+    let [stone, red] = [[170, 164, 152], [170, 70, 60]].map(|color| maker.material(color));
+    let mut wall = Solid::default();
+    let (half, high, side, sill, head) = (60.0, 40.0, 2.0, 1.0, 4.0);
+    wall.block(DVec3::new(-half, -0.2, -1.0), DVec3::new(-side, 0.2, high));
+    wall.block(DVec3::new(side, -0.2, -1.0), DVec3::new(half, 0.2, high));
+    wall.block(DVec3::new(-side, -0.2, -1.0), DVec3::new(side, 0.2, sill));
+    wall.block(DVec3::new(-side, -0.2, head), DVec3::new(side, 0.2, high));
+    let wall = maker.mesh(wall.into_mesh());
+    maker.place(wall, stone, placed(DVec3::ONE, 0.0, DVec3::ZERO));
+    let shape = maker.mesh(block(DVec3::ONE));
+    for i in 0..u64::from(size) {
+        let mut random = Random::new(seed, i + 1);
+        let at = DVec3::new(
+            random.between(-40.0, 40.0),
+            random.between(3.0, 60.0),
+            random.between(0.0, 25.0),
+        );
+        let extent = DVec3::new(random.unit(), random.unit(), random.unit()) + 0.3;
+        maker.place(shape, red, placed(extent, random.between(0.0, 3.0), at));
+    }
+    let at = |x: f64, y: f64| DVec3::new(x, y, 2.2);
+    maker.finish(vec![at(-14.0, -9.0), at(0.3, -7.0), at(12.0, -12.0)])
+}
+
+/// `size` by `size` plates across the view, each with a block right behind it.
+pub(super) fn plates(size: u32) -> ModelScene {
+    let mut maker = Maker::default();
+    let plate = maker.mesh(block(DVec3::new(0.8, 0.05, 0.8)));
+    let hidden = maker.mesh(block(DVec3::new(0.4, 0.1, 0.4)));
+    let [front, back] = [[120, 160, 200], [220, 40, 40]].map(|color| maker.material(color));
+    for row in 0..size {
+        for column in 0..size {
+            let at = DVec3::new(f64::from(column), 0.0, f64::from(row));
+            maker.place(plate, front, placed(DVec3::ONE, 0.0, at));
+            maker.place(hidden, back, placed(DVec3::ONE, 0.0, at + DVec3::Y * 0.2));
+        }
+    }
+    let middle = 0.5 * (f64::from(size) - 1.0);
+    // So far away that no block shows beside its plate.
+    let eye = DVec3::new(middle, -1.1 * f64::from(size), middle);
+    maker.finish(vec![eye, eye + DVec3::Y * 0.1])
+}

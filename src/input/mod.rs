@@ -24,6 +24,7 @@ mod header;
 mod las_layout;
 mod laz_decode;
 mod laz_layout;
+mod mesh;
 mod pcd;
 mod placing;
 mod ply;
@@ -47,6 +48,10 @@ pub use foreign::{
 pub use foreign_scan::ForeignScan;
 pub use guard::without_panic;
 pub use header::{LasHeader, ReturnCounts, place};
+pub use mesh::{
+    ModelFormat, ModelOptions, ModelReadError, ModelReport, ReadModel, UpAxis, detect_model,
+    model_suffixes, read_model,
+};
 pub use placing::{Placing, decimal_lattice, fine_lattice, reaches};
 pub use point_format::{ExtraBytes, PointFormat, describes_extra_bytes, extra_bytes};
 pub use positioned_file::PositionedFile;

@@ -5,7 +5,7 @@
 //!
 //! Source: Turk, "The PLY Polygon File Format", 1994.
 
-mod header;
+pub(super) mod header;
 mod listed;
 
 use super::detect::{ReadOptions, Signs};

@@ -15,9 +15,11 @@
 @group(2) @binding(0) var<storage, read> grown_from: array<vec2<u32>>;
 @group(2) @binding(1) var<storage, read_write> grown: array<vec2<u32>>;
 
-// The picture's pixels and the margin, as points_compute drew them. `frame` is that of the picture.
-fn margin() -> i32 {
-    return i32(frame.grow_margin_px);
+// Pixels around the picture that points_compute drew too. `frame` is that of the picture. `zero`
+// is not known before the shader runs: lavapipe compiles one anew for each value that a loop ends
+// by if that follows from uniforms alone.
+fn margin(zero: u32) -> i32 {
+    return i32(frame.grow_margin_px + zero);
 }
 
 fn is_greater(a: vec2<u32>, b: vec2<u32>) -> bool {
@@ -34,41 +36,40 @@ fn reaches(offset: i32, side: i32) -> bool {
     return offset >= -((side - 1) / 2) && offset <= side / 2;
 }
 
-@compute @workgroup_size(WORKGROUP_SIZE)
-fn grow_rows(@builtin(global_invocation_id) id: vec3<u32>) {
-    let x = i32(id.x);
-    let y = i32(id.y);
-    let width = i32(frame.target_px.x);
-    if x >= width {
-        return;
-    }
+// The nearest of the pixels of a line whose splat reaches its middle.
+fn nearest_along(middle: i32, stride: i32, margin: i32) -> vec2<u32> {
     var best = vec2<u32>(0u);
-    let row = y * (width + 2 * margin()) + x + margin();
-    for (var offset = -margin(); offset <= margin(); offset += 1) {
-        let pixel = grown_from[row - offset];
+    for (var offset = -margin; offset <= margin; offset += 1) {
+        let pixel = grown_from[middle - offset * stride];
         if is_greater(pixel, best) && reaches(offset, i32(side_of(pixel))) {
             best = pixel;
         }
     }
-    grown[y * width + x] = best;
+    return best;
+}
+
+@compute @workgroup_size(WORKGROUP_SIZE)
+fn grow_rows(@builtin(global_invocation_id) id: vec3<u32>) {
+    let at = vec2<i32>(id.xy);
+    let width = i32(frame.target_px.x);
+    if at.x >= width {
+        return;
+    }
+    let margin = margin(id.z);
+    let middle = at.y * (width + 2 * margin) + at.x + margin;
+    grown[at.y * width + at.x] = nearest_along(middle, 1, margin);
 }
 
 @compute @workgroup_size(WORKGROUP_SIZE)
 fn grow_columns(@builtin(global_invocation_id) id: vec3<u32>) {
-    let x = i32(id.x);
-    let y = i32(id.y);
+    let at = vec2<i32>(id.xy);
     let width = i32(frame.target_px.x);
-    if x >= width {
+    if at.x >= width {
         return;
     }
-    var best = vec2<u32>(0u);
-    for (var offset = -margin(); offset <= margin(); offset += 1) {
-        let pixel = grown_from[(y + margin() - offset) * width + x];
-        if is_greater(pixel, best) && reaches(offset, i32(side_of(pixel))) {
-            best = pixel;
-        }
-    }
-    grown[y * width + x] = best;
+    let margin = margin(id.z);
+    let middle = (at.y + margin) * width + at.x;
+    grown[at.y * width + at.x] = nearest_along(middle, width, margin);
 }
 
 @compute @workgroup_size(WORKGROUP_SIZE)
@@ -79,10 +80,11 @@ fn grow_discs(@builtin(global_invocation_id) id: vec3<u32>) {
     if x >= width {
         return;
     }
+    let margin = margin(id.z);
     var best = vec2<u32>(0u);
-    for (var down = -margin(); down <= margin(); down += 1) {
-        let row = (y + margin() - down) * (width + 2 * margin()) + x + margin();
-        for (var right = -margin(); right <= margin(); right += 1) {
+    for (var down = -margin; down <= margin; down += 1) {
+        let row = (y + margin - down) * (width + 2 * margin) + x + margin;
+        for (var right = -margin; right <= margin; right += 1) {
             let pixel = grown_from[row - right];
             if is_greater(pixel, best) {
                 let side = side_of(pixel);

@@ -27,6 +27,6 @@ fn draw_bare(
     let pixel = at.y * frame.target_px.x + at.x;
     let nearness = ~bitcast<u32>(screen.z);
     if !is_hidden(pixel, nearness) {
-        put_point(pixel, nearness, node.colors_at + point);
+        put_word(pixel, nearness, needed_color(node.colors_at + point));
     }
 }

@@ -35,9 +35,13 @@ fn draw_points(
     let group = lane / LANE_GROUP;
     let first = batch.first_point + group * (LANE_GROUP * rounds) + lane % LANE_GROUP;
     let end = min(batch.end_point, batch.first_point + (group + 1u) * (LANE_GROUP * rounds));
-    for (var point = first; point < end; point += LANE_GROUP) {
-        if PARTLY && !is_kept(node, point) {
-            continue;
+    for (var place = first; place < end; place += LANE_GROUP) {
+        var point = place;
+        if PARTLY {
+            point = point_at(node, place);
+            if point >= node.drawn_count {
+                continue;
+            }
         }
         let cell = local_cell(node, point);
         let screen = screen_of(eye_relative(node, cell));
@@ -51,11 +55,7 @@ fn draw_points(
         let reach = vec2<f32>(0.5 * size + 0.5 + f32(frame.nested_splats));
         let inside = all(center > -reach) && all(center < vec2<f32>(frame.target_px) + reach);
         if screen.z >= frame.near && inside {
-            if size == 1.0 {
-                draw_pixel(floor(center), screen.z, node.colors_at + point);
-            } else {
-                draw_splat(splat_corner(center, size), size, screen.z, node.colors_at + point);
-            }
+            draw_splat(splat_corner(center, size), size, screen.z, node.colors_at + point);
         }
     }
 }
@@ -69,9 +69,8 @@ fn draw_pixel(at: vec2<f32>, distance: f32, color_at: u32) {
         let place = vec2<u32>(at - first);
         let pixel = place.y * frame.target_px.x + place.x;
         let nearness = ~bitcast<u32>(distance);
-        // Most points are hidden: they pay neither for a colour nor for an atomic.
         if !is_hidden(pixel, nearness) {
-            put_point(pixel, nearness, color_at);
+            put_word(pixel, nearness, needed_color(color_at));
         }
     }
 }
@@ -80,22 +79,38 @@ fn draw_splat(corner: vec2<i32>, size: f32, distance: f32, color_at: u32) {
     let first = max(corner, vec2<i32>(0));
     let last = min(corner + i32(size), vec2<i32>(frame.target_px));
     let nearness = ~bitcast<u32>(distance);
+    // Single pixels have none.
+    let has_shape = (SPLAT_SHAPE == ROUND || SPLAT_SHAPE == SPHERE) && size > 1.0;
+    // Who looks first may need no colour; who does not reads it once.
+    var color = 0u;
+    if !LOOKS_FIRST {
+        color = needed_color(color_at);
+    }
     for (var y = first.y; y < last.y; y += 1) {
         for (var x = first.x; x < last.x; x += 1) {
             let pixel = u32(y) * frame.target_px.x + u32(x);
-            if SPLAT_SHAPE == SPHERE {
+            var nearer = nearness;
+            var height = 0.0;
+            if has_shape {
                 let reach = splat_reach(vec2<i32>(x, y) - corner, size);
-                if reach <= 1.0 {
-                    let height = ball_height(reach);
-                    let nearer = ~bitcast<u32>(ball_distance(distance, size, height));
-                    if !is_hidden(pixel, nearer) {
-                        put_ball(pixel, nearer, color_at, height);
-                    }
+                if reach > 1.0 {
+                    continue;
                 }
-            } else if !is_hidden(pixel, nearness) {
-                if SPLAT_SHAPE != ROUND || splat_reach(vec2<i32>(x, y) - corner, size) <= 1.0 {
-                    put_point(pixel, nearness, color_at);
+                if SPLAT_SHAPE == SPHERE {
+                    height = ball_height(reach);
+                    nearer = ~bitcast<u32>(ball_distance(distance, size, height));
                 }
+            }
+            if is_hidden(pixel, nearer) {
+                continue;
+            }
+            if LOOKS_FIRST {
+                color = needed_color(color_at);
+            }
+            if SPLAT_SHAPE == SPHERE && has_shape {
+                put_word(pixel, nearer, ball_color(color, height));
+            } else {
+                put_word(pixel, nearer, color);
             }
         }
     }

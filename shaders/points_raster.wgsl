@@ -35,12 +35,23 @@ fn is_seen(center: vec2<f32>, distance: f32) -> bool {
         && all(center < vec2<f32>(frame.target_px) + reach);
 }
 
+fn drawn_point(node: GpuNode, place: u32) -> u32 {
+    if PARTLY {
+        return point_at(node, place);
+    }
+    return place;
+}
+
 @vertex
-fn pixel_vertex(@builtin(vertex_index) point: u32, @builtin(instance_index) slot: u32) -> Vertex {
+fn pixel_vertex(@builtin(vertex_index) place: u32, @builtin(instance_index) slot: u32) -> Vertex {
     let node = nodes[slot];
+    let point = drawn_point(node, place);
+    if point >= node.drawn_count {
+        return nowhere();
+    }
     let screen = screen_of(eye_relative(node, local_cell(node, point)));
     let center = screen.xy * (1.0 / screen.z) + frame.center_px;
-    if !is_seen(center, screen.z) || (PARTLY && !is_kept(node, point)) {
+    if !is_seen(center, screen.z) {
         return nowhere();
     }
     let corner = splat_corner(center, 1.0);
@@ -50,12 +61,15 @@ fn pixel_vertex(@builtin(vertex_index) point: u32, @builtin(instance_index) slot
 
 @vertex
 fn square_vertex(@builtin(vertex_index) vertex: u32, @builtin(instance_index) slot: u32) -> Vertex {
-    let point = vertex / 6u;
     let node = nodes[slot];
+    let point = drawn_point(node, vertex / 6u);
+    if point >= node.drawn_count {
+        return nowhere();
+    }
     let cell = local_cell(node, point);
     let screen = screen_of(eye_relative(node, cell));
     let center = screen.xy * (1.0 / screen.z) + frame.center_px;
-    if !is_seen(center, screen.z) || (PARTLY && !is_kept(node, point)) {
+    if !is_seen(center, screen.z) {
         return nowhere();
     }
     let size = splat_px(slot, node, cell, screen.z);

@@ -13,7 +13,7 @@ use std::sync::Arc;
 use device::gpu;
 use esker::frame::{FrameSettings, NodeSource, RasterPath, Renderer};
 use esker::geometry::{Camera, View};
-use esker::passes::{EyeDome, FinishSettings, Picture};
+use esker::passes::{EarlyOut, EyeDome, FinishSettings, Picture};
 use esker::points::Lattice;
 use esker::select::{SplatDrawing, SplatPolicy, SplatShape, SplatSize};
 use glam::{DVec3, UVec3};
@@ -171,6 +171,61 @@ fn all_sizes_and_shapes_are_the_same_on_all_paths() {
                         assert_same_picture(&expected, &picture, &what);
                     }
                 }
+            }
+        }
+    }
+}
+
+/// Shares of nodes are the same points on all paths, and fewer than all.
+#[test]
+fn shares_of_nodes_are_the_same_on_all_paths() {
+    if gpu().is_none() {
+        return;
+    }
+    let cloud = Arc::new(cloud(20_000, 18, 5, 11));
+    for (i, eye) in EYES.into_iter().enumerate() {
+        let view = view(201, 133, eye);
+        for max_px in [1.0, 9.0] {
+            let mut settings = settings(SplatPolicy::PerPoint, 2.0);
+            settings.cut.splat.max_px = max_px;
+            let whole = draw(RasterPath::Cpu, &cloud, &view, &settings);
+            settings.cut.continuous = true;
+            let expected = draw(RasterPath::Cpu, &cloud, &view, &settings);
+            assert!(i != 0 || whole.colors != expected.colors, "shares are drawn");
+            for path in PATHS {
+                let picture = draw(path, &cloud, &view, &settings);
+                assert_same_picture(&expected, &picture, &format!("{path:?} {max_px} {eye:?}"));
+            }
+        }
+    }
+}
+
+/// Looking first what a pixel holds saves work and changes no pixel; neither does the second
+/// dispatch that nodes of larger splats need, which limiting them to a pixel saves.
+#[test]
+fn looking_first_changes_no_pixel() {
+    let Some(gpu) = gpu() else { return };
+    let cloud = Arc::new(cloud(20_000, 18, 5, 11));
+    for eye in EYES {
+        let view = view(201, 133, eye);
+        for (max_px, shape) in
+            [(1.0, SplatShape::Square), (9.0, SplatShape::Square), (9.0, SplatShape::Sphere)]
+        {
+            let mut settings = settings(SplatPolicy::PerPoint, 2.0);
+            (settings.cut.splat.max_px, settings.cut.splat.shape) = (max_px, shape);
+            let expected = draw(RasterPath::Cpu, &cloud, &view, &settings);
+            for early_out in [EarlyOut::Always, EarlyOut::Never] {
+                let mut renderer =
+                    Renderer::with_early_out(gpu.clone(), early_out, 1 << 30).expect("a device");
+                renderer.set_scene(vec![cloud.clone() as Arc<dyn NodeSource>]);
+                let stats = renderer.render(&view, &settings).unwrap();
+                assert!(max_px > 1.0 || stats.dispatches == 1, "{stats:?}");
+                let picture = renderer.read_picture().unwrap().expect("drawn");
+                assert_same_picture(
+                    &expected,
+                    &picture,
+                    &format!("{early_out:?} {max_px} {eye:?}"),
+                );
             }
         }
     }

@@ -3,7 +3,7 @@
 #![cfg(feature = "gpu")]
 
 use esker::gpu::layout::{STRUCTS, StructLayout};
-use esker::gpu::shader::{PixelAtomics, SHADERS, source};
+use esker::gpu::shader::{PixelAtomics, names, source};
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 
 fn parse(name: &str, text: &str) -> naga::Module {
@@ -14,7 +14,7 @@ fn parse(name: &str, text: &str) -> naga::Module {
 #[test]
 fn every_shader_is_valid() {
     let capabilities = Capabilities::SHADER_INT64 | Capabilities::SHADER_INT64_ATOMIC_MIN_MAX;
-    for name in SHADERS {
+    for name in names() {
         for atomics in [PixelAtomics::Wide, PixelAtomics::WideUnread, PixelAtomics::Narrow] {
             let text = source(name, atomics);
             let module = parse(name, &text);
@@ -27,7 +27,7 @@ fn every_shader_is_valid() {
 #[test]
 fn shared_structs_are_laid_out_as_in_rust() {
     let mut checked = Vec::new();
-    for name in SHADERS {
+    for name in names() {
         let module = parse(name, &source(name, PixelAtomics::Wide));
         for (_, ty) in module.types.iter() {
             let naga::TypeInner::Struct { members, span } = &ty.inner else { continue };

@@ -74,23 +74,26 @@ fn splat_px(slot: u32, node: GpuNode, cell: vec3<u32>, w: f32) -> f32 {
     return splat_side(nodes[deepest].splat_px_m, w);
 }
 
-// Whether a point is drawn of a node of which only a share is.
-fn is_kept(node: GpuNode, point: u32) -> bool {
-    return point < node.whole_count || scramble(point) < node.kept_share;
-}
-
-// A number that looks random; another for each point of a node, the same in each frame.
-fn scramble(point: u32) -> u32 {
-    var x = point * 0x9e3779b1u;
-    x = (x ^ (x >> 15u)) * 0x85ebca77u;
-    x = (x ^ (x >> 13u)) * 0xc2b2ae3du;
-    return x ^ (x >> 16u);
+// The point at a place of a node of which only a share is drawn; at least `drawn_count` where there
+// is none. Of each block of successive points (which lie close together) those come first that are
+// farthest apart, so a share is even, and a larger one contains the smaller.
+fn point_at(node: GpuNode, place: u32) -> u32 {
+    if place < node.whole_count {
+        return place;
+    }
+    let beyond = place - node.whole_count;
+    // Exact for the counts that Rust allows, and far faster than dividing integers.
+    let block = u32((f32(beyond) + 0.5) * node.kept_inverse);
+    let rank = beyond - block * node.kept_of_block;
+    let scattered = reverseBits(rank) >> (32u - SHARE_BLOCK_BITS);
+    return node.whole_count + (block << SHARE_BLOCK_BITS) + scattered;
 }
 
 // First column and row of the square of `size` pixels a side around a point.
+// Without a branch: lavapipe compiles a shader anew for other values of the frame's first words
+// once a branch, or the end of a loop, follows from uniforms alone.
 fn splat_corner(center: vec2<f32>, size: f32) -> vec2<i32> {
-    if frame.nested_splats != 0u {
-        return vec2<i32>(floor(center) - vec2<f32>(floor(0.5 * size - 0.5)));
-    }
-    return vec2<i32>(floor(center - vec2<f32>(0.5 * size - 0.5)));
+    let by_place = floor(center - vec2<f32>(0.5 * size - 0.5));
+    let by_pixel = floor(center) - vec2<f32>(floor(0.5 * size - 0.5));
+    return vec2<i32>(select(by_place, by_pixel, frame.nested_splats != 0u));
 }

@@ -7,9 +7,10 @@ override SPLAT_SHAPE: u32 = 0u;
 // Side of a splat of so many pixels at 1 m, seen from `w`: whole pixels.
 fn splat_side(splat_px_m: f32, w: f32) -> f32 {
     let side = ceil(clamp(splat_px_m / w, frame.min_splat_px, frame.max_splat_px));
-    if SPLAT_SHAPE == ROUND && frame.nested_splats != 0u {
-        // Discs lie within larger ones only if they have the same middle.
-        return side + 1.0 - (side % 2.0);
+    if SPLAT_SHAPE == ROUND {
+        // Discs lie within larger ones only if they have the same middle. Without a branch, as in
+        // `splat_corner`.
+        return select(side, side + 1.0 - (side % 2.0), frame.nested_splats != 0u);
     }
     return side;
 }

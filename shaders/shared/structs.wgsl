@@ -32,9 +32,9 @@ struct GpuNode {
     drawn_children: u32,
     drawn_levels_below: u32,
     whole_count: u32,
-    kept_share: u32,
+    kept_of_block: u32,
+    kept_inverse: f32,
     padding_0: u32,
-    padding_1: u32,
 }
 
 struct GpuBatch {

@@ -6,28 +6,34 @@
 // Which of the two. Fixed per pipeline.
 override COLOR_PASS: bool = false;
 
+// Whether a point looks what is there before it goes to the atomic operation of the first pass.
+// Fixed per pipeline.
+override LOOKS_FIRST: bool = true;
+
 @group(2) @binding(0) var<storage, read_write> pixels: array<atomic<u32>>;
 
 // Whether the point can change nothing.
 fn is_hidden(pixel: u32, nearness: u32) -> bool {
-    let nearest = atomicLoad(&pixels[2u * pixel + 1u]);
     if COLOR_PASS {
-        return nearest != nearness;
+        return atomicLoad(&pixels[2u * pixel + 1u]) != nearness;
     }
-    return nearest >= nearness;
+    if !LOOKS_FIRST {
+        return false;
+    }
+    return atomicLoad(&pixels[2u * pixel + 1u]) >= nearness;
 }
 
-fn put_point(pixel: u32, nearness: u32, color_at: u32) {
+// Colour of a point, as far as this pass needs it.
+fn needed_color(color_at: u32) -> u32 {
     if COLOR_PASS {
-        atomicMax(&pixels[2u * pixel], ~words[color_at]);
-    } else {
-        atomicMax(&pixels[2u * pixel + 1u], nearness);
+        return words[color_at];
     }
+    return 0u;
 }
 
-fn put_ball(pixel: u32, nearness: u32, color_at: u32, height: f32) {
+fn put_word(pixel: u32, nearness: u32, color: u32) {
     if COLOR_PASS {
-        atomicMax(&pixels[2u * pixel], ~ball_color(words[color_at], height));
+        atomicMax(&pixels[2u * pixel], ~color);
     } else {
         atomicMax(&pixels[2u * pixel + 1u], nearness);
     }

@@ -7,7 +7,7 @@ use crate::frame::node_cache::Words;
 use crate::frame::{FrameSettings, Renderer};
 use crate::geometry::View;
 use crate::passes::Tile;
-use crate::passes::splat::{is_kept, local_cell, splat_of};
+use crate::passes::splat::{local_cell, point_at, splat_of};
 
 /// What drawing the last frame's points takes, the same on every machine.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -44,10 +44,8 @@ impl Renderer {
             };
             let positions = &words[..ready.position_words as usize];
             let slot = draw.slot as usize;
-            let of_point = |point: u32| {
-                if !is_kept(&nodes[slot], point) {
-                    return (0, 0);
-                }
+            let of_point = |place: u32| {
+                let Some(point) = point_at(&nodes[slot], place) else { return (0, 0) };
                 let cell = local_cell(&nodes[slot], positions, point as usize);
                 let Some(splat) = splat_of(&frame, nodes, slot, cell) else { return (0, 0) };
                 let side = |axis: usize, limit: i32| {

@@ -21,7 +21,7 @@ use crate::gpu::{Gpu, PassTimer, WordArena, shader::PixelAtomics};
 use crate::ids::NodeId;
 use crate::passes::{DrawTable, Picture, PointsCpu, Tile};
 #[cfg(feature = "gpu")]
-use crate::passes::{Finish, PointsCompute, PointsRaster};
+use crate::passes::{EarlyOut, Finish, PointsCompute, PointsRaster};
 use crate::select::{Cut, CutScratch, mean_spacing};
 use crate::stream::SceneNode;
 
@@ -71,7 +71,8 @@ impl Renderer {
     #[cfg(feature = "gpu")]
     pub fn on_gpu(gpu: Arc<Gpu>, path: RasterPath, limit_bytes: u64) -> Result<Self, FrameError> {
         let compute = |atomics| -> Result<_, FrameError> {
-            Ok(GpuPass::Compute(Box::new(PointsCompute::new(&gpu, atomics)?)))
+            let pass = PointsCompute::new(&gpu, atomics, EarlyOut::Auto)?;
+            Ok(GpuPass::Compute(Box::new(pass)))
         };
         let pass = match path {
             RasterPath::Compute => compute(gpu.wide_atomics())?,
@@ -82,11 +83,14 @@ impl Renderer {
         Renderer::with_pass(gpu, pass, limit_bytes)
     }
 
-    /// A renderer by 64-bit atomics whose points do not look whether something nearer was drawn
-    /// before; to measure what that saves.
+    /// A renderer by 64-bit atomics whose points look first, or do not; to measure what that saves.
     #[cfg(feature = "gpu")]
-    pub fn without_early_out(gpu: Arc<Gpu>, limit_bytes: u64) -> Result<Self, FrameError> {
-        let pass = PointsCompute::new(&gpu, PixelAtomics::WideUnread)?;
+    pub fn with_early_out(
+        gpu: Arc<Gpu>,
+        early_out: EarlyOut,
+        limit_bytes: u64,
+    ) -> Result<Self, FrameError> {
+        let pass = PointsCompute::new(&gpu, gpu.wide_atomics(), early_out)?;
         Renderer::with_pass(gpu, GpuPass::Compute(Box::new(pass)), limit_bytes)
     }
 

@@ -17,6 +17,10 @@ pub const SQUARE: u32 = 0;
 pub const ROUND: u32 = 1;
 /// Splats are shaded balls within their square, nearer in the middle.
 pub const SPHERE: u32 = 2;
+/// Binary logarithm of [`SHARE_BLOCK`].
+pub const SHARE_BLOCK_BITS: u32 = 8;
+/// Where only a share of a node's points is drawn, as many of each so many successive points.
+pub const SHARE_BLOCK: u32 = 1 << SHARE_BLOCK_BITS;
 
 /// Words per position of a node whose local coordinates have `local_bits` bits.
 pub const fn position_words(local_bits: u32) -> u32 {
@@ -122,7 +126,7 @@ gpu_struct! {
         splat_px_m: f32,
         /// Local coordinates are below `2^local_bits`.
         local_bits: u32,
-        /// Leading points that are drawn.
+        /// One past the last point that may be drawn.
         drawn_count: u32,
         /// The lowest 8 bits: bit `o` is set if the child in octant `o` is drawn. Above them: slot
         /// of the first drawn child.
@@ -130,19 +134,20 @@ gpu_struct! {
         /// Most steps down from here to a drawn node that has no drawn child, or below which all
         /// splats are single pixels.
         drawn_levels_below: u32,
-        /// Leading points that are drawn without asking; of the others a share is.
+        /// Leading points that are drawn all; of the others a share is.
         whole_count: u32,
-        /// That share, of 2^32.
-        kept_share: u32,
+        /// How many of each [`SHARE_BLOCK`] successive ones of these are.
+        kept_of_block: u32,
+        /// Its inverse.
+        kept_inverse: f32,
         /// Unused.
         padding_0: u32,
-        /// Unused.
-        padding_1: u32,
     }
 }
 
 gpu_struct! {
-    /// What one workgroup draws: successive points of a node.
+    /// What one workgroup draws: successive points of a node, or places of points where only a
+    /// share of them is drawn.
     GpuBatch, 12 {
         /// Slot of the node.
         node_slot: u32,
@@ -216,6 +221,7 @@ pub fn prelude() -> String {
         ("NARROW_BITS", NARROW_BITS),
         ("ROUND", ROUND),
         ("SPHERE", SPHERE),
+        ("SHARE_BLOCK_BITS", SHARE_BLOCK_BITS),
     ]
     .map(|(name, value)| format!("const {name}: u32 = {value}u;\n"))
     .concat()

@@ -8,24 +8,13 @@ use std::borrow::Cow;
 
 use crate::gpu::{Gpu, GpuError, layout};
 
-/// The shaders of the passes, by file name without suffix.
-pub const SHADERS: &[&str] = &[
-    "checkpoint",
-    "points_compute",
-    "points_bare",
-    "points_raster",
-    "grow",
-    "resolve",
-    "fill_gaps",
-    "eye_dome",
-];
-
 macro_rules! files {
     ($($name:literal),* $(,)?) => {
         &[$(($name, include_str!(concat!("../../shaders/", $name, ".wgsl"))),)*]
     };
 }
 
+/// Every file; those in no folder are whole shaders, the others are imported.
 const FILES: &[(&str, &str)] = files![
     "checkpoint",
     "points_compute",
@@ -58,7 +47,12 @@ pub enum PixelAtomics {
     Narrow,
 }
 
-/// The whole text of a shader of [`SHADERS`].
+/// The shaders of the passes, by file name without suffix.
+pub fn names() -> impl Iterator<Item = &'static str> {
+    FILES.iter().map(|(name, _)| *name).filter(|name| !name.contains('/'))
+}
+
+/// The whole text of a shader of [`names`].
 ///
 /// `name` must be one of our files and imports must exist: both are known when this is compiled,
 /// and `tests/shader_layout.rs` goes through all of them.

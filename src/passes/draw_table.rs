@@ -10,7 +10,8 @@ use std::ops::Range;
 use crate::geometry::{Aabb, View};
 use crate::gpu::layout::{GpuBatch, GpuNode, NARROW_BITS, position_words};
 use crate::ids::NodeId;
-use crate::octree::{LevelIndex, Octree};
+use crate::octree::Octree;
+use crate::passes::shown::Shown;
 use crate::passes::{CheckpointPlan, DrawPart};
 use crate::select::{Cut, DrawNode, DrawnRow, SplatSettings, SplatSize};
 
@@ -47,7 +48,7 @@ pub struct DrawnNode {
     pub cloud: usize,
     /// Which node of it.
     pub node: NodeId,
-    /// Leading points.
+    /// Leading points; where only a share is drawn, places of points, a few of them empty.
     pub count: u32,
     /// Buffer of its words.
     pub shard: usize,
@@ -66,7 +67,7 @@ pub struct DrawTable {
     pub nodes: Vec<GpuNode>,
     /// In drawing order.
     pub draws: Vec<DrawnNode>,
-    /// Points drawn; of nodes of which a share is, about as many.
+    /// Points drawn.
     pub points: u64,
     /// About how many pixels the splats have together, hidden ones included: each node's at the
     /// depth of its middle.
@@ -114,15 +115,11 @@ impl DrawTable {
         for (index, cloud) in clouds.iter().enumerate() {
             self.add_cloud(index, cloud, view, splat);
         }
-        let points = |draw: &DrawnNode| {
-            let node = &self.nodes[draw.slot as usize];
-            let others = u64::from(draw.count - node.whole_count.min(draw.count));
-            u64::from(draw.count) - others + ((others * u64::from(node.kept_share)) >> 32)
-        };
+        let points = |draw: &DrawnNode| Shown::points_of(&self.nodes[draw.slot as usize]);
         self.points = self.draws.iter().map(points).sum();
         let bytes = |draw: &DrawnNode| {
             let local_bits = self.nodes[draw.slot as usize].local_bits;
-            u64::from(draw.count) * 4 * u64::from(position_words(local_bits) + 1)
+            points(draw) * 4 * u64::from(position_words(local_bits) + 1)
         };
         self.point_bytes = self.draws.iter().map(bytes).sum();
     }
@@ -212,40 +209,40 @@ impl DrawTable {
                 scale: octree.lattice().scale.as_vec3().to_array(),
                 splat_px_m: splat_px_m as f32,
                 local_bits: octree.local_bits(row.node),
-                drawn_count: shown.count,
+                drawn_count: shown.end,
                 drawn_children: (base + row.first_drawn_child) << 8
                     | u32::from(row.child_drawn_mask),
                 drawn_levels_below: 0,
                 whole_count: shown.whole_count,
-                kept_share: shown.kept_share,
+                kept_of_block: shown.kept_of_block,
+                kept_inverse: shown.kept_inverse(),
                 padding_0: 0,
-                padding_1: 0,
             });
             let draw = &mut self.draws[first_draw + row.draw as usize];
             draw.slot = slot;
             draw.shard = place.shard;
-            draw.count = shown.count;
-            draw.partly = shown.whole_count < shown.count;
+            draw.count = shown.places();
+            draw.partly = shown.whole_count < shown.end;
             let bounds = octree.tight_box(row.node);
             let fixed_px = match splat.size {
                 SplatSize::Fixed { px } => Some(px * splat.multiplier),
                 _ => None,
             };
             let nearest = HAIR * nearest_depth(&bounds, view);
+            let largest_px = splat.max_px.max(1.0);
             let largest_here_px = fixed_px.unwrap_or(match nearest > 0.0 {
-                true => splat_px_m / nearest,
-                false => f64::INFINITY,
+                true => (splat_px_m / nearest).min(largest_px),
+                false => largest_px,
             });
             draw.single_pixels = largest_here_px <= 1.0;
             self.largest_splat_px = self.largest_splat_px.max(largest_here_px);
             let middle = (bounds.center() - view.camera.eye).dot(view.camera.forward);
             // Around the eye, points are about as far as the box is wide.
             let middle = middle.max(0.25 * bounds.diagonal());
-            let largest_px = splat.max_px.max(1.0);
             let typical_px = fixed_px
                 .unwrap_or_else(|| (splat_px_m / middle.max(view.camera.near)).min(largest_px))
                 .max(1.0);
-            self.splat_pixels += (f64::from(shown.count) * typical_px * typical_px) as u64;
+            self.splat_pixels += (f64::from(shown.places()) * typical_px * typical_px) as u64;
         }
         // Children stand after their parents, so going backwards finds them done. Below a cell
         // whose splats are all single pixels there is nothing to look up.
@@ -260,43 +257,6 @@ impl DrawTable {
                     true => 0,
                     false => children.map(below).max().unwrap_or(0),
                 };
-        }
-    }
-}
-
-/// Which of a node's leading points are drawn when only a share of them is.
-///
-/// Levels are even over the node, so the first of them are drawn whole; only of the last one a
-/// share is, even again because it goes by numbers that look random.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Shown {
-    /// One past the last point that may be drawn.
-    count: u32,
-    /// Points that are drawn whatever their number.
-    whole_count: u32,
-    /// Share of the others that is drawn, of 2^32.
-    kept_share: u32,
-}
-
-impl Shown {
-    fn of(levels: &LevelIndex, count: u32, share: f32) -> Self {
-        if share >= 1.0 || share.is_nan() || count == 0 {
-            return Shown { count, whole_count: count, kept_share: 0 };
-        }
-        let wanted = (f64::from(share.max(0.0)) * f64::from(count)).max(1.0);
-        let totals = levels.totals();
-        let level = totals.partition_point(|&total| f64::from(total) < wanted);
-        let end = totals.get(level).map_or(count, |&total| total.min(count));
-        let start = level.checked_sub(1).map_or(0, |before| totals[before]);
-        let kept = (wanted - f64::from(start)) / f64::from((end - start).max(1));
-        match kept < 1.0 {
-            true => Shown {
-                count: end,
-                whole_count: start,
-                // Casting clamps.
-                kept_share: (kept * 2f64.powi(32)) as u32,
-            },
-            false => Shown { count: end, whole_count: end, kept_share: 0 },
         }
     }
 }
@@ -339,28 +299,3 @@ fn nearest_depth(bounds: &Aabb, view: &View) -> f64 {
 
 /// A hair of margin, because the GPU compares in f32.
 const HAIR: f64 = 0.9999;
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_share_takes_whole_levels_and_part_of_one() {
-        let levels = LevelIndex::new(vec![1, 5, 21, 85]).expect("valid");
-        let of = |count, share| Shown::of(&levels, count, share);
-        let all = Shown { count: 85, whole_count: 85, kept_share: 0 };
-        assert_eq!([of(85, 1.0), of(85, 7.0), of(85, f32::NAN)], [all; 3]);
-        let half = of(84, 0.5);
-        assert_eq!((half.count, half.whole_count), (84, 21));
-        assert!((f64::from(half.kept_share) / 2f64.powi(32) - 1.0 / 3.0).abs() < 1e-6, "{half:?}");
-        assert_eq!(of(84, 0.25), Shown { count: 21, whole_count: 21, kept_share: 0 });
-        for share in [0.0, -1.0, 1e-9] {
-            let least = of(85, share);
-            assert_eq!((least.count, least.whole_count), (1, 1), "a point at least: {least:?}");
-        }
-        assert_eq!(of(0, 0.5).count, 0);
-        // Only some leading points were to be drawn at all.
-        let cut = of(30, 0.99);
-        assert_eq!((cut.count, cut.whole_count), (30, 21));
-    }
-}

@@ -23,9 +23,9 @@ pub(super) struct Grow {
     grown: GrowingBuffer,
 }
 
-/// Reads of a pixel that take as long as drawing one pixel of a splat, which is an atomic read and
-/// for some an atomic write; measured, see `docs/splats.md`.
-const READS_PER_SPLAT_PIXEL: f64 = 1.0;
+/// Reads of a pixel that take as long as drawing one pixel of a splat, which is an atomic
+/// operation; measured, see `docs/splats.md`.
+const READS_PER_SPLAT_PIXEL: f64 = 0.4;
 
 impl Grow {
     /// Compiles the pass.

@@ -13,6 +13,7 @@ mod finish_cpu;
 mod picture;
 mod points_cpu;
 mod reference;
+mod shown;
 pub mod splat;
 
 #[cfg(feature = "gpu")]
@@ -77,7 +78,7 @@ pub use finish::Finish;
 #[cfg(feature = "gpu")]
 pub use points_bare::PointsBare;
 #[cfg(feature = "gpu")]
-pub use points_compute::PointsCompute;
+pub use points_compute::{EarlyOut, PointsCompute};
 #[cfg(feature = "gpu")]
 pub use points_raster::PointsRaster;
 #[cfg(feature = "gpu")]

@@ -61,7 +61,8 @@ impl PointsBare {
                 bind(gpu, &scene, &[whole(buffers[1]), whole(buffers[2])]),
                 bind(gpu, &targets, &[whole(buffers[3])]),
             ];
-            (compute_pipeline(gpu, &pipelines, &module, "draw_bare", &[]), groups)
+            let constants = [("LOOKS_FIRST", f64::from(!gpu.is_software()))];
+            (compute_pipeline(gpu, &pipelines, &module, "draw_bare", &constants), groups)
         })?;
         Ok(PointsBare { pipeline, groups, frame, node, pixels, _words: held, pixel_bytes, count })
     }

@@ -29,6 +29,8 @@ pub struct PointsCompute {
     pipelines: Vec<(Variant, wgpu::ComputePipeline)>,
     batch_points: u32,
     lane_group: u32,
+    is_software: bool,
+    early_out: EarlyOut,
     /// Without depth, with it.
     resolve: [wgpu::RenderPipeline; 2],
     grow: Option<Grow>,
@@ -52,8 +54,29 @@ struct Variant {
     wide: bool,
     single_pixels: bool,
     partly: bool,
+    looks_first: bool,
     shape: u32,
     color_pass: bool,
+}
+
+/// What all batches of a frame have in common that pipelines are made for.
+#[derive(Clone, Copy)]
+struct FrameKind {
+    shape: u32,
+    looks_first: bool,
+}
+
+/// Whether points look what is nearest at their pixel before they go to the atomic operation.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum EarlyOut {
+    /// Where it pays: always on GPUs; on software adapters, where looking takes about as long as
+    /// the operation, when so much is drawn that most of it is hidden.
+    #[default]
+    Auto,
+    /// Always.
+    Always,
+    /// Never; in the second of two passes of 32 bits they do nevertheless, to find their pixel.
+    Never,
 }
 
 /// Points of a workgroup on a GPU: enough to spread the look-up of the node, few enough to fill all
@@ -63,13 +86,16 @@ const BATCH_POINTS: u32 = 1024;
 const SOFTWARE_BATCH_POINTS: u32 = 4096;
 /// Lanes of a vector of the processors that software adapters run on.
 const SOFTWARE_LANE_GROUP: u32 = 8;
+/// Splat pixels per pixel of the target from which on looking first pays on software adapters;
+/// measured, see `docs/measurements/drawing.md`.
+const SOFTWARE_LOOK_FROM: f64 = 12.0;
 const BATCH_BYTES: u64 = size_of::<GpuBatch>() as u64;
 /// Bytes of a pixel, however its atomics are held.
 const PIXEL_BYTES: u64 = 8;
 
 impl PointsCompute {
     /// Compiles the pass; the device must have the atomics.
-    pub fn new(gpu: &Gpu, atomics: PixelAtomics) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, atomics: PixelAtomics, early_out: EarlyOut) -> Result<Self, GpuError> {
         if atomics == PixelAtomics::Narrow && !gpu.draws_by_narrow_compute() {
             return Err(gpu.unsupported("compute32", "no compute shaders"));
         }
@@ -108,6 +134,8 @@ impl PointsCompute {
                 pipelines: Vec::new(),
                 batch_points,
                 lane_group,
+                is_software: gpu.is_software(),
+                early_out,
                 resolve,
                 grow: None,
                 checkpoint: None,
@@ -162,7 +190,11 @@ impl PointsCompute {
             // Grown splats start as single pixels.
             self.batch_list.groups.iter_mut().for_each(|(kind, _)| kind.single_pixels = true);
         }
-        self.compile(gpu, frame.splat_shape)?;
+        let kind = FrameKind {
+            shape: frame.splat_shape,
+            looks_first: self.looks_first(drawing, margin_px),
+        };
+        self.compile(gpu, kind)?;
         let frames = [
             GpuFrame { grow_margin_px: margin_px, ..*frame },
             GpuFrame {
@@ -225,13 +257,8 @@ impl PointsCompute {
             // What comes later may be nearer: colours wait for it.
             let now = if rest.is_empty() { phases } else { &phases[..1] };
             for &color_pass in now {
-                dispatches += dispatch(
-                    &self.pipelines,
-                    &mut pass,
-                    &always,
-                    (frame.splat_shape, color_pass),
-                    None,
-                );
+                dispatches +=
+                    dispatch(&self.pipelines, &mut pass, &always, (kind, color_pass), None);
             }
         }
         if !rest.is_empty() {
@@ -260,19 +287,14 @@ impl PointsCompute {
             bound.set(&mut pass);
             for &color_pass in phases {
                 if color_pass {
-                    dispatches += dispatch(
-                        &self.pipelines,
-                        &mut pass,
-                        &always,
-                        (frame.splat_shape, color_pass),
-                        None,
-                    );
+                    dispatches +=
+                        dispatch(&self.pipelines, &mut pass, &always, (kind, color_pass), None);
                 }
                 dispatches += dispatch(
                     &self.pipelines,
                     &mut pass,
                     &rest,
-                    (frame.splat_shape, color_pass),
+                    (kind, color_pass),
                     decided.as_ref(),
                 );
             }
@@ -338,11 +360,25 @@ impl PointsCompute {
             + self.grow.as_ref().map_or(0, Grow::held_bytes)
     }
 
+    fn looks_first(&self, drawing: &PointDrawing, margin_px: u32) -> bool {
+        match self.early_out {
+            EarlyOut::Always => true,
+            EarlyOut::Never => false,
+            EarlyOut::Auto if !self.is_software => true,
+            EarlyOut::Auto => {
+                let table = drawing.table;
+                let drawn = if margin_px > 0 { table.points } else { table.splat_pixels };
+                let target = drawing.frame.target_px.map(f64::from);
+                drawn as f64 > SOFTWARE_LOOK_FROM * target[0] * target[1]
+            }
+        }
+    }
+
     /// Makes the pipelines that this frame's kinds of batches need and no frame needed before.
-    fn compile(&mut self, gpu: &Gpu, shape: u32) -> Result<(), GpuError> {
+    fn compile(&mut self, gpu: &Gpu, frame: FrameKind) -> Result<(), GpuError> {
         for (kind, _) in &self.batch_list.groups {
             for &color_pass in color_passes(self.atomics) {
-                let variant = Variant::of(kind, shape, color_pass);
+                let variant = Variant::of(kind, frame, color_pass);
                 if self.pipelines.iter().any(|(known, _)| *known == variant) {
                     continue;
                 }
@@ -350,6 +386,7 @@ impl PointsCompute {
                     ("WIDE_NODES", f64::from(variant.wide)),
                     ("SINGLE_PIXELS", f64::from(variant.single_pixels)),
                     ("PARTLY", f64::from(variant.partly)),
+                    ("LOOKS_FIRST", f64::from(variant.looks_first)),
                     ("SPLAT_SHAPE", f64::from(variant.shape)),
                     ("LANE_GROUP", f64::from(self.lane_group)),
                 ];
@@ -372,11 +409,11 @@ fn dispatch(
     pipelines: &[(Variant, wgpu::ComputePipeline)],
     pass: &mut wgpu::ComputePass,
     work: &[&PointWork],
-    (shape, color_pass): (u32, bool),
+    (frame, color_pass): (FrameKind, bool),
     arguments: Option<&wgpu::Buffer>,
 ) -> u32 {
     for (work, index) in work.iter().zip(0u64..) {
-        let variant = Variant::of(&work.kind, shape, color_pass);
+        let variant = Variant::of(&work.kind, frame, color_pass);
         let known = pipelines.iter().find(|(known, _)| *known == variant);
         pass.set_pipeline(&known.expect("it was just compiled").1);
         pass.set_bind_group(1, &work.scene, &[]);
@@ -441,13 +478,14 @@ fn decide(
 }
 
 impl Variant {
-    fn of(kind: &BatchKind, shape: u32, color_pass: bool) -> Self {
+    fn of(kind: &BatchKind, frame: FrameKind, color_pass: bool) -> Self {
         Variant {
             wide: kind.wide,
             single_pixels: kind.single_pixels,
             partly: kind.partly,
+            looks_first: frame.looks_first,
             // Single pixels have no shape.
-            shape: if kind.single_pixels { SQUARE } else { shape },
+            shape: if kind.single_pixels { SQUARE } else { frame.shape },
             color_pass,
         }
     }

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use crate::gpu::layout::{GpuBatch, GpuFrame, ROUND, SQUARE};
 use crate::passes::splat::{
-    ball_color, ball_distance, ball_height, is_kept, local_cell, splat_of, splat_reach,
+    ball_color, ball_distance, ball_height, local_cell, point_at, splat_of, splat_reach,
 };
 use crate::passes::{Batches, DrawTable, Picture};
 
@@ -81,18 +81,18 @@ fn draw_batch(
     let NodeWords { positions, colors } = words[slot];
     let [width, height] = frame.target_px.map(|side| side as i32);
     let (first, end) = (batch.first_point as usize, batch.end_point as usize);
-    let partly = node.whole_count < batch.end_point;
     let put = |at: usize, nearness: u32, color: u32| {
         let pixel = &pixels[at];
-        // Most points are hidden: they pay neither for a colour nor for an atomic.
+        // Most points are hidden: they pay for no atomic operation.
         if (pixel.load(Ordering::Relaxed) >> 32) as u32 <= nearness {
             pixel.fetch_max(u64::from(nearness) << 32 | u64::from(!color), Ordering::Relaxed);
         }
     };
-    for (point, &color) in (first..end).zip(&colors[first..end]) {
-        if partly && !is_kept(node, point as u32) {
+    for place in first..end {
+        let Some(point) = point_at(node, place as u32).map(|point| point as usize) else {
             continue;
-        }
+        };
+        let color = colors[point];
         let cell = local_cell(node, positions, point);
         let Some(splat) = splat_of(frame, &table.nodes, slot, cell) else { continue };
         let nearness = !splat.distance.to_bits();

@@ -3,7 +3,7 @@
 //!
 //! f32 relative to the eye; pixels of the target, y down. No culling of nodes here.
 
-use crate::gpu::layout::{GpuFrame, GpuNode, NARROW_BITS, ROUND};
+use crate::gpu::layout::{GpuFrame, GpuNode, NARROW_BITS, ROUND, SHARE_BLOCK_BITS};
 
 /// The square of pixels of one point.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -116,19 +116,18 @@ pub fn splat_side(frame: &GpuFrame, splat_px_m: f32, w: f32) -> f32 {
     side
 }
 
-/// Whether a point is drawn of a node of which only a share is.
+/// The point at a place of a node of which only a share is drawn; `None` if there is none.
 #[inline]
-pub fn is_kept(node: &GpuNode, point: u32) -> bool {
-    point < node.whole_count || scramble(point) < node.kept_share
-}
-
-/// A number that looks random; another for each point of a node, the same in each frame.
-#[inline]
-fn scramble(point: u32) -> u32 {
-    let x = point.wrapping_mul(0x9e37_79b1);
-    let x = (x ^ x >> 15).wrapping_mul(0x85eb_ca77);
-    let x = (x ^ x >> 13).wrapping_mul(0xc2b2_ae3d);
-    x ^ x >> 16
+pub fn point_at(node: &GpuNode, place: u32) -> Option<u32> {
+    if place < node.whole_count {
+        return Some(place);
+    }
+    let beyond = place - node.whole_count;
+    let block = ((beyond as f32 + 0.5) * node.kept_inverse) as u32;
+    let rank = beyond.wrapping_sub(block.wrapping_mul(node.kept_of_block));
+    let scattered = rank.reverse_bits() >> (32 - SHARE_BLOCK_BITS);
+    let point = node.whole_count + (block << SHARE_BLOCK_BITS) + scattered;
+    (point < node.drawn_count).then_some(point)
 }
 
 /// Square of a pixel's distance from the middle of the splat, of that of the rim: above 1 is

@@ -23,7 +23,7 @@ use crate::gpu::layout::GpuNode;
 use crate::gpu::{Gpu, PassTimer, copy_bandwidth};
 use crate::metrics::processor_ms;
 use crate::passes::splat::local_cell;
-use crate::passes::{Picture, PointsBare, Tile};
+use crate::passes::{EarlyOut, Picture, PointsBare, Tile};
 use crate::select::{
     AllResident, CutScratch, SplatDrawing, SplatSettings, SplatSize, select_nodes,
 };
@@ -178,8 +178,12 @@ impl Way {
             ways.push(Way::new(name, renderer, source, &settings));
         }
         if gpu.draws_by_compute() {
-            let renderer = Renderer::without_early_out(Arc::clone(gpu), LIMIT_BYTES)?;
-            ways.push(Way::new("no early out", renderer, source, &settings));
+            for (name, early_out) in
+                [("looking first", EarlyOut::Always), ("not looking", EarlyOut::Never)]
+            {
+                let renderer = Renderer::with_early_out(Arc::clone(gpu), early_out, LIMIT_BYTES)?;
+                ways.push(Way::new(name, renderer, source, &settings));
+            }
         }
         ways.push(Way::new("cpu", Renderer::on_cpu(LIMIT_BYTES), source, &settings));
         Ok(ways)

@@ -51,7 +51,6 @@ pub struct ChunkScratch<K> {
     waiting: Vec<Waiting<K>>,
     homes: Vec<u8>,
     open: Vec<OpenNode>,
-    indices: Vec<u64>,
     pub(super) nodes: NodeBuilder<K>,
 }
 
@@ -106,30 +105,26 @@ fn find_homes<K: MortonKey>(
     taken: &[Taken],
     scratch: &mut ChunkScratch<K>,
 ) {
-    let ChunkScratch { items, waiting, homes: out, indices, .. } = scratch;
-    let layout = rows.layout();
+    let ChunkScratch { items, sort, waiting, homes: out, .. } = scratch;
     out.clear();
     out.resize(items.len(), 0);
-    indices.clear();
-    indices.extend(items.iter().map(|item| layout.index(rows.row(item.slot))));
-    let taken: HashMap<u64, u32> = taken.iter().copied().collect();
     waiting.clear();
-    for (place, (item, &index)) in items.iter().zip(indices.iter()).enumerate() {
-        if !taken.is_empty()
-            && let Some(depth) = taken.get(&index)
-        {
-            out[place] = *depth as u8;
-            continue;
-        }
-        waiting.push(Waiting { key: item.key, index: index as u32, place: place as u32 });
-    }
-    if indices.iter().any(|&index| index > u64::from(u32::MAX)) {
-        // Only the order counts: ranks fit where indices do not.
-        let mut sorted = indices.clone();
-        sorted.sort_unstable();
-        for point in waiting.iter_mut() {
-            let index = &indices[point.place as usize];
-            point.index = sorted.partition_point(|other| other < index) as u32;
+    let all = items.iter().zip(sort.orders()).zip(0..);
+    let wait = |((item, &index), place): ((&Item<K>, &u32), u32)| Waiting {
+        key: item.key,
+        index,
+        place,
+    };
+    if taken.is_empty() {
+        waiting.extend(all.map(wait));
+    } else {
+        let layout = rows.layout();
+        let taken: HashMap<u64, u32> = taken.iter().copied().collect();
+        for point in all {
+            match taken.get(&layout.index(rows.row(point.0.0.slot))) {
+                Some(depth) => out[point.1 as usize] = *depth as u8,
+                None => waiting.push(wait(point)),
+            }
         }
     }
     homes.assign(waiting, chunk.level - homes.levels, out);

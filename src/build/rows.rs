@@ -128,12 +128,14 @@ impl<'a> RowTable<'a> {
         &self.pages[(slot >> self.page_shift) as usize][place..place + stride]
     }
 
-    /// All slots with their rows.
-    pub fn slots(&self) -> impl Iterator<Item = (u32, &'a [u8])> {
+    /// All slots with their rows, page by page.
+    pub fn slots(
+        &self,
+    ) -> impl Iterator<Item = impl ExactSizeIterator<Item = (u32, &'a [u8])> + Clone> {
         let (shift, stride) = (self.page_shift, self.layout.stride());
-        self.pages.iter().enumerate().flat_map(move |(page, rows)| {
-            let first = (page as u32) << shift;
-            (first..).zip(rows.chunks_exact(stride))
+        (0u32..).zip(self.pages).map(move |(page, rows)| {
+            let rows = rows.chunks_exact(stride).enumerate();
+            rows.map(move |(i, row)| (page << shift | i as u32, row))
         })
     }
 }

@@ -22,10 +22,6 @@ pub trait MortonKey: Copy + Ord + Send + Sync + Debug + Hash + Default + 'static
     fn decode(self) -> [u32; 3];
     /// The code of the enclosing cell `levels` levels up.
     fn ancestor(self, levels: u32) -> Self;
-    /// The `count` bits (at most 32) from bit `low` up, for radix sorting.
-    fn digit(self, low: u32, count: u32) -> usize;
-    /// The lowest `count` bits, as many of them as fit 64.
-    fn low_bits(self, count: u32) -> u64;
     /// Number of low bits in which two codes may differ: 0 if they are equal.
     fn differing_bits(self, other: Self) -> u32;
     /// The first code within this cell, `levels` levels down.
@@ -47,6 +43,10 @@ pub trait MortonKey: Copy + Ord + Send + Sync + Debug + Hash + Default + 'static
     fn widen(self) -> u128;
     /// The inverse of [`widen`](Self::widen) for codes that fit.
     fn narrow(wide: u128) -> Self;
+    /// How far this code is behind another that is not larger, if that fits.
+    fn offset_from(self, base: Self) -> Option<u64>;
+    /// The code so far behind this one.
+    fn at_offset(self, offset: u64) -> Self;
 }
 
 /// What is done alike to codes of both widths.
@@ -54,9 +54,6 @@ macro_rules! same_for_both_widths {
     () => {
         fn ancestor(self, levels: u32) -> Self {
             self.checked_shr(3 * levels).unwrap_or(0)
-        }
-        fn digit(self, low: u32, count: u32) -> usize {
-            (self >> low) as usize & ((1 << count) - 1)
         }
         fn differing_bits(self, other: Self) -> u32 {
             Self::BITS - (self ^ other).leading_zeros()
@@ -103,9 +100,6 @@ impl MortonKey for u64 {
     fn decode(self) -> [u32; 3] {
         [gather(self), gather(self >> 1), gather(self >> 2)]
     }
-    fn low_bits(self, count: u32) -> u64 {
-        self & 1u64.checked_shl(count).map_or(u64::MAX, |bit| bit - 1)
-    }
     fn write(self, bytes: &mut [u8]) {
         bytes[..8].copy_from_slice(&self.to_le_bytes());
     }
@@ -124,6 +118,12 @@ impl MortonKey for u64 {
     fn narrow(wide: u128) -> Self {
         wide as u64
     }
+    fn offset_from(self, base: Self) -> Option<u64> {
+        self.checked_sub(base)
+    }
+    fn at_offset(self, offset: u64) -> Self {
+        self.wrapping_add(offset)
+    }
 }
 
 impl MortonKey for u128 {
@@ -141,9 +141,6 @@ impl MortonKey for u128 {
         let low = (self as u64 & (u64::MAX >> 1)).decode();
         let high = ((self >> 63) as u64).decode();
         [0, 1, 2].map(|axis| low[axis] | high[axis] << 21)
-    }
-    fn low_bits(self, count: u32) -> u64 {
-        self as u64 & 1u64.checked_shl(count).map_or(u64::MAX, |bit| bit - 1)
     }
     fn write(self, bytes: &mut [u8]) {
         bytes[..12].copy_from_slice(&self.to_le_bytes()[..12]);
@@ -164,6 +161,12 @@ impl MortonKey for u128 {
     }
     fn narrow(wide: u128) -> Self {
         wide
+    }
+    fn offset_from(self, base: Self) -> Option<u64> {
+        u64::try_from(self.checked_sub(base)?).ok()
+    }
+    fn at_offset(self, offset: u64) -> Self {
+        self.wrapping_add(u128::from(offset))
     }
 }
 

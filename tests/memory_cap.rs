@@ -33,10 +33,10 @@ fn a_scan_of_several_times_the_cap_converts_within_it() {
     let json: serde_json::Value = serde_json::from_slice(&output.stdout).expect("one object");
     assert_eq!(json["points"], points);
     assert_eq!(json["in_memory"], false);
-    // Each point with its index at most once; nodes go to their place at once.
+    // Each point with its index at most once, packed to about half; nodes go to their place at once.
     let once = points * (34 + 8);
     let temporary = json["temporary_bytes"].as_u64().expect("a number");
-    assert!((once / 2..=once).contains(&temporary), "{temporary} bytes, {once} are once");
+    assert!((once / 4..=once * 3 / 5).contains(&temporary), "{temporary} bytes, {once} are once");
     // Resident memory is known under Linux.
     if let Some(peak) = json["peak_rss_bytes"].as_u64() {
         assert!(peak <= cap + cap / 10, "{peak} bytes resident under a cap of {cap}");

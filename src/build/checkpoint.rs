@@ -94,8 +94,7 @@ pub fn held_state<'p>(
 impl HeldState {
     /// The page.
     pub fn resume<'p>(self) -> HeldPage<'p> {
-        let (offset, bytes) = self.place;
-        HeldPage { block: self.block, first: self.first, page: Page::Disk { offset, bytes } }
+        HeldPage { block: self.block, first: self.first, page: Page::Disk(self.place) }
     }
 }
 

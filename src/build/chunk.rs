@@ -110,11 +110,8 @@ fn find_homes<K: MortonKey>(
     out.resize(items.len(), 0);
     waiting.clear();
     let all = items.iter().zip(sort.orders()).zip(0..);
-    let wait = |((item, &index), place): ((&Item<K>, &u32), u32)| Waiting {
-        key: item.key,
-        index,
-        place,
-    };
+    let wait =
+        |((item, &index), place): ((&Item<K>, &u32), u32)| Waiting { key: item.key, index, place };
     if taken.is_empty() {
         waiting.extend(all.map(wait));
     } else {

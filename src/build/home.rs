@@ -12,9 +12,6 @@ use crate::geometry::MortonKey;
 /// they stay in the deepest node beyond one per cell.
 pub const BEYOND: u8 = 0x80;
 
-/// So few points are quicker to insert than to divide.
-const FEW: usize = 8;
-
 /// A point waiting for its home.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Waiting<K> {
@@ -44,9 +41,6 @@ impl Homes {
     /// Writes `homes[place]` of all points, which lie in Morton order and have been passed on by
     /// all nodes above `depth`. Afterwards their order is undefined.
     pub fn assign<K: MortonKey>(&self, points: &mut [Waiting<K>], depth: u32, homes: &mut [u8]) {
-        if points.len() <= FEW {
-            return self.assign_few(points, depth, homes);
-        }
         let shift = self.max_depth() - depth;
         let mut rest = points;
         while let Some(first) = rest.first() {
@@ -55,39 +49,6 @@ impl Homes {
             let (points, tail) = rest.split_at_mut(count);
             rest = tail;
             self.cell(points, depth, homes);
-        }
-    }
-
-    /// [`assign`](Self::assign) for a few points: inserts one after the other.
-    fn assign_few<K: MortonKey>(&self, points: &[Waiting<K>], depth: u32, homes: &mut [u8]) {
-        const NONE: u32 = u32::MAX >> 1;
-        let max_depth = self.max_depth();
-        let mut inserted = [Waiting::default(); FEW];
-        let mut depths = [NONE; FEW];
-        for (count, &point) in points.iter().enumerate() {
-            let mut place = count;
-            while place > 0 && inserted[place - 1].index > point.index {
-                inserted[place] = inserted[place - 1];
-                place -= 1;
-            }
-            inserted[place] = point;
-        }
-        for (i, point) in inserted.iter().enumerate().take(points.len()) {
-            // Depths at which an earlier point has taken the cell that this one is in.
-            let mut taken = 0u32;
-            for (other, other_depth) in inserted.iter().zip(depths).take(i) {
-                let apart = point.key.differing_bits(other.key).div_ceil(3);
-                if other_depth + apart <= max_depth {
-                    taken |= 1 << other_depth;
-                }
-            }
-            let home = depth + (taken >> depth).trailing_ones();
-            homes[point.place as usize] = if home <= max_depth {
-                depths[i] = home;
-                home as u8
-            } else {
-                max_depth as u8 | BEYOND
-            };
         }
     }
 

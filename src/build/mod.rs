@@ -22,6 +22,7 @@ mod machine;
 mod node;
 mod options;
 mod ordered;
+mod packing;
 mod paged_rows;
 mod pages;
 mod partition;

@@ -133,13 +133,20 @@ impl<K: MortonKey> NodeBuilder<K> {
     ) {
         let finest_shift = rules.root_bits - depth - rules.levels;
         let layout = points.rows.layout();
-        self.candidates.clear();
-        self.codes.clear();
-        for &member in members.iter().filter(|&&member| points.is_kept(member, depth)) {
-            let row = points.row(member);
-            self.codes.push(points.items[member as usize].key.ancestor(finest_shift));
-            self.candidates.push(Candidate { color: layout.color(row), index: layout.index(row) });
+        self.codes.resize(members.len(), K::default());
+        self.candidates.resize(members.len(), Candidate::default());
+        let mut kept = 0;
+        for &member in members {
+            let item = &points.items[member as usize];
+            let row = points.rows.row(item.slot);
+            // Written in any case, and over again by the next one if it does not count.
+            self.codes[kept] = item.key.ancestor(finest_shift);
+            self.candidates[kept] =
+                Candidate { color: layout.color(row), index: layout.index(row) };
+            kept += usize::from(points.is_kept(member, depth));
         }
+        self.codes.truncate(kept);
+        self.candidates.truncate(kept);
         self.candidate_levels.clear();
         self.candidate_levels.resize(self.candidates.len(), rules.levels as u8);
         self.standing.clear();

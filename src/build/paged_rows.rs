@@ -13,6 +13,8 @@ pub struct PagedRows<'p> {
     pages: Vec<Page<'p>>,
     open: Option<PageBuffer<'p>>,
     used: usize,
+    /// Bytes of a marked row; 0 as long as none has come.
+    stride: usize,
     rows: u64,
 }
 
@@ -35,9 +37,10 @@ impl<'p> PagedRows<'p> {
         is_kept: bool,
     ) -> Result<(), BuildError> {
         let stride = row.len() + 1;
+        self.stride = stride;
         if self.open.is_some() && self.used + stride > pages.page_bytes() {
             let mut full = self.open.take().expect("it was seen");
-            full.set_used(self.used);
+            full.set_used(self.used, stride);
             let (full, next) = pages.keep(full)?;
             self.pages.push(full);
             (self.open, self.used) = (Some(next), 0);
@@ -78,7 +81,7 @@ impl<'p> PagedRows<'p> {
     /// Puts the last page away. More rows begin another.
     pub fn close(&mut self, pages: &PageStore<'p>) -> Result<(), BuildError> {
         if let Some(mut last) = self.open.take() {
-            last.set_used(self.used);
+            last.set_used(self.used, self.stride);
             self.pages.push(pages.keep_last(last)?);
             self.used = 0;
         }
@@ -94,8 +97,7 @@ impl<'p> PagedRows<'p> {
 
     /// The rows of a state.
     pub fn resume((places, rows): (Vec<DiskPlace>, u64)) -> Self {
-        let page = |(offset, bytes)| Page::Disk { offset, bytes };
-        let pages = places.into_iter().map(page).collect();
+        let pages = places.into_iter().map(Page::Disk).collect();
         PagedRows { pages, rows, ..PagedRows::default() }
     }
 

@@ -1,7 +1,8 @@
 //! Rows in pages of equal size: in memory as long as the budget lasts, on disk beyond it.
 //!
-//! Pages on disk stand in one file of the work folder, each written once. Buffers are
-//! handed round and used again, because touching fresh memory costs more than the work on it.
+//! Pages on disk stand in one file of the work folder, each written once, packed (`packing`) where
+//! that helps: a disk is slower than all else. Buffers are handed round and used again, because
+//! touching fresh memory costs more than the work on it.
 
 use std::fs::File;
 use std::io;
@@ -10,8 +11,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, OnceLock};
 
 use memmap2::MmapMut;
+use serde::{Deserialize, Serialize};
 
 use crate::build::BuildError;
+use crate::build::packing::Packer;
 use crate::build::work::Work;
 use crate::store::StoreBytes;
 
@@ -34,6 +37,7 @@ impl Slab {
 pub struct PageBuffer<'a> {
     room: Room<'a>,
     used: usize,
+    stride: usize,
 }
 
 #[derive(Debug)]
@@ -51,9 +55,9 @@ impl PageBuffer<'_> {
         }
     }
 
-    /// Says how much of the room, from its start, holds rows.
-    pub fn set_used(&mut self, bytes: usize) {
-        self.used = bytes;
+    /// Says how much of the room, from its start, holds rows, and how long a row is.
+    pub fn set_used(&mut self, bytes: usize, stride: usize) {
+        (self.used, self.stride) = (bytes, stride);
     }
 }
 
@@ -75,12 +79,18 @@ pub enum Page<'a> {
     /// At hand.
     Memory(PageBuffer<'a>),
     /// In the temporary file.
-    Disk {
-        /// First byte.
-        offset: u64,
-        /// Length in bytes.
-        bytes: u32,
-    },
+    Disk(DiskPlace),
+}
+
+/// Where rows or other bytes are on disk.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DiskPlace {
+    /// First byte in the file.
+    offset: u64,
+    /// Length in the file.
+    stored: u32,
+    /// Length in memory; packed, if that is another.
+    bytes: u32,
 }
 
 /// All pages of a conversion.
@@ -91,10 +101,8 @@ pub struct PageStore<'a> {
     file: OnceLock<File>,
     creation: Mutex<()>,
     end: AtomicU64,
+    packers: Mutex<Vec<Packer>>,
 }
-
-/// Where rows are on disk: first byte and length.
-pub type DiskPlace = (u64, u32);
 
 impl<'a> PageStore<'a> {
     /// Pages of `page_bytes` in a slab; those that find no room go to a file of the work folder,
@@ -103,7 +111,7 @@ impl<'a> PageStore<'a> {
         let bytes: &'a mut [u8] = slab.0.as_deref_mut().unwrap_or_default();
         let mut free: Vec<PageBuffer> = bytes
             .chunks_exact_mut(page_bytes)
-            .map(|room| PageBuffer { room: Room::Slab(room), used: 0 })
+            .map(|room| PageBuffer { room: Room::Slab(room), used: 0, stride: 0 })
             .collect();
         // Taken from the end: what was used last comes first.
         free.reverse();
@@ -114,6 +122,7 @@ impl<'a> PageStore<'a> {
             file: OnceLock::new(),
             creation: Mutex::new(()),
             end: AtomicU64::new(end),
+            packers: Mutex::default(),
         }
     }
 
@@ -134,7 +143,7 @@ impl<'a> PageStore<'a> {
     /// An empty buffer with room for a page; beyond the slab where that is full.
     pub fn buffer(&self) -> PageBuffer<'a> {
         let room = || Room::Heap(vec![0; self.page_bytes]);
-        self.take_free().unwrap_or_else(|| PageBuffer { room: room(), used: 0 })
+        self.take_free().unwrap_or_else(|| PageBuffer { room: room(), used: 0, stride: 0 })
     }
 
     /// Puts a page away and hands out an empty buffer for the next one.
@@ -154,7 +163,8 @@ impl<'a> PageStore<'a> {
             self.give_back(rows);
             Ok(page)
         } else if 2 * rows.len() < self.page_bytes {
-            let copy = PageBuffer { room: Room::Heap(rows.to_vec()), used: rows.len() };
+            let room = Room::Heap(rows.to_vec());
+            let copy = PageBuffer { room, used: rows.len(), stride: rows.stride };
             self.give_back(rows);
             Ok(Page::Memory(copy))
         } else {
@@ -162,9 +172,26 @@ impl<'a> PageStore<'a> {
         }
     }
 
-    fn write(&self, rows: &[u8]) -> Result<Page<'a>, BuildError> {
-        let (offset, bytes) = self.write_bytes(rows)?;
-        Ok(Page::Disk { offset, bytes })
+    fn write(&self, rows: &PageBuffer) -> Result<Page<'a>, BuildError> {
+        self.write_rows(rows).map(Page::Disk)
+    }
+
+    fn write_rows(&self, rows: &PageBuffer) -> Result<DiskPlace, BuildError> {
+        self.with_packer(|packer| match packer.pack(rows, rows.stride) {
+            true => {
+                let place = self.write_bytes(&packer.bytes)?;
+                Ok(DiskPlace { bytes: rows.len() as u32, ..place })
+            }
+            false => self.write_bytes(rows),
+        })
+    }
+
+    fn with_packer<R>(&self, work: impl FnOnce(&mut Packer) -> R) -> R {
+        let packers = || self.packers.lock().expect("no holder of the lock panics");
+        let mut packer = packers().pop().unwrap_or_default();
+        let result = work(&mut packer);
+        packers().push(packer);
+        result
     }
 
     /// Writes bytes of any length and tells where they are.
@@ -173,16 +200,35 @@ impl<'a> PageStore<'a> {
         let offset = self.end.fetch_add(bytes.len() as u64, Ordering::Relaxed);
         let written = self.work.before_write().and_then(|()| write_all_at(file, bytes, offset));
         written.map_err(|e| self.work.error("cannot write", e))?;
-        Ok((offset, bytes.len() as u32))
+        let length = bytes.len() as u32;
+        Ok(DiskPlace { offset, stored: length, bytes: length })
     }
 
     /// Reads bytes back.
-    pub fn read_bytes(&self, (offset, bytes): DiskPlace) -> Result<Vec<u8>, BuildError> {
-        let mut read = vec![0; bytes as usize];
-        let file = self.file().map_err(|e| self.work.error("cannot open", e))?;
-        file.read_exact_at(&mut read, offset)
-            .map_err(|e| self.work.error("cannot read back", e))?;
+    fn read_bytes(&self, place: DiskPlace) -> Result<Vec<u8>, BuildError> {
+        let mut read = vec![0; place.bytes as usize];
+        self.read_into(place, &mut read)?;
         Ok(read)
+    }
+
+    fn read_into(&self, place: DiskPlace, bytes: &mut [u8]) -> Result<(), BuildError> {
+        let file = self.file().map_err(|e| self.work.error("cannot open", e))?;
+        let read = |bytes: &mut [u8]| file.read_exact_at(bytes, place.offset);
+        let outcome = if place.stored == place.bytes {
+            read(bytes)
+        } else {
+            self.with_packer(|packer| {
+                let mut stored = std::mem::take(&mut packer.bytes);
+                stored.resize(place.stored as usize, 0);
+                let outcome = read(&mut stored).and_then(|()| {
+                    let is_whole = packer.unpack(&stored, bytes);
+                    is_whole.then_some(()).ok_or(io::ErrorKind::InvalidData.into())
+                });
+                packer.bytes = stored;
+                outcome
+            })
+        };
+        outcome.map_err(|e| self.work.error("cannot read back", e))
     }
 
     /// Writes bytes piece by piece: the lengths of places have 32 bits.
@@ -200,14 +246,13 @@ impl<'a> PageStore<'a> {
     /// Brings a page to disk, if it is not there, and tells where it is.
     pub fn to_disk(&self, page: &mut Page<'a>) -> Result<DiskPlace, BuildError> {
         match page {
-            Page::Disk { offset, bytes } => Ok((*offset, *bytes)),
+            Page::Disk(place) => Ok(*place),
             Page::Memory(rows) => {
-                let (offset, bytes) = self.write_bytes(rows)?;
-                let kept = std::mem::replace(page, Page::Disk { offset, bytes });
-                if let Page::Memory(rows) = kept {
+                let place = self.write_rows(rows)?;
+                if let Page::Memory(rows) = std::mem::replace(page, Page::Disk(place)) {
                     self.give_back(rows);
                 }
-                Ok((offset, bytes))
+                Ok(place)
             }
         }
     }
@@ -234,12 +279,10 @@ impl<'a> PageStore<'a> {
     pub fn load(&self, page: Page<'a>) -> Result<PageBuffer<'a>, BuildError> {
         match page {
             Page::Memory(rows) => Ok(rows),
-            Page::Disk { offset, bytes } => {
+            Page::Disk(place) => {
                 let mut rows = self.buffer();
-                rows.set_used(bytes as usize);
-                let file = self.file().map_err(|e| self.work.error("cannot open", e))?;
-                file.read_exact_at(&mut rows.room()[..bytes as usize], offset)
-                    .map_err(|e| self.work.error("cannot read back", e))?;
+                rows.set_used(place.bytes as usize, 0);
+                self.read_into(place, &mut rows.room()[..place.bytes as usize])?;
                 Ok(rows)
             }
         }
@@ -253,8 +296,8 @@ impl<'a> PageStore<'a> {
     ) -> Result<R, BuildError> {
         match page {
             Page::Memory(rows) => look(rows),
-            Page::Disk { offset, bytes } => {
-                let rows = self.load(Page::Disk { offset: *offset, bytes: *bytes })?;
+            Page::Disk(place) => {
+                let rows = self.load(Page::Disk(*place))?;
                 let outcome = look(&rows);
                 self.give_back(rows);
                 outcome
@@ -304,16 +347,16 @@ mod tests {
             for i in 0..20u8 {
                 let used = 100 - usize::from(i % 3);
                 buffer.room()[..used].fill(i);
-                buffer.set_used(used);
+                buffer.set_used(used, 1);
                 let (page, next) = store.keep(buffer).expect("keeps");
                 assert!(next.is_empty());
                 pages.push(page);
                 buffer = next;
             }
             buffer.room()[..7].fill(99);
-            buffer.set_used(7);
+            buffer.set_used(7, 7);
             pages.push(store.keep_last(buffer).expect("keeps"));
-            let on_disk = pages.iter().filter(|page| matches!(page, Page::Disk { .. })).count();
+            let on_disk = pages.iter().filter(|page| matches!(page, Page::Disk(_))).count();
             assert_eq!(on_disk, expected_on_disk);
             for (i, page) in pages.into_iter().enumerate() {
                 let rows = store.load(page).expect("loads");

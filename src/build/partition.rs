@@ -45,9 +45,8 @@ impl<'p> ChunkRows<'p> {
 
     /// The rows of a state.
     pub fn resume(state: ChunkRowsState) -> Self {
-        let page = |(offset, bytes)| Page::Disk { offset, bytes };
         ChunkRows {
-            pages: state.pages.into_iter().map(page).collect(),
+            pages: state.pages.into_iter().map(Page::Disk).collect(),
             points: state.points,
             smallest: state.smallest.into(),
         }
@@ -186,7 +185,7 @@ impl<'a, 'p, K: MortonKey> Partition<'a, 'p, K> {
         let next = match page.take() {
             None => self.pages.buffer(),
             Some(mut full) => {
-                full.set_used(*used);
+                full.set_used(*used, self.shape.layout.stride());
                 let (full, next) = self.pages.keep(full)?;
                 let mut rows = self.chunks[chunk].lock().expect("no holder of the lock panics");
                 rows.pages.push(full);
@@ -206,7 +205,7 @@ impl<'a, 'p, K: MortonKey> Partition<'a, 'p, K> {
         {
             let Some(mut page) = page else { continue };
             let points = (used / self.shape.layout.stride()) as u64;
-            page.set_used(used);
+            page.set_used(used, self.shape.layout.stride());
             let page = self.pages.keep_last(page)?;
             let mut rows = self.chunks[i].lock().expect("no holder of the lock panics");
             smallest
@@ -240,15 +239,15 @@ pub fn split<'p, K: MortonKey>(
     let mut stored = Vec::with_capacity(rows.pages.len());
     for page in rows.pages {
         let on_disk = match page {
-            Page::Disk { offset, bytes } => Some((offset, bytes)),
+            Page::Disk(place) => Some(place),
             Page::Memory(_) => None,
         };
         let loaded = pages.load(page)?;
         sample.extend(loaded.chunks_exact(stride).step_by(weight as usize).map(K::read));
         stored.push(match on_disk {
-            Some((offset, bytes)) => {
+            Some(place) => {
                 pages.give_back(loaded);
-                Page::Disk { offset, bytes }
+                Page::Disk(place)
             }
             None => Page::Memory(loaded),
         });

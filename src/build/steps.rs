@@ -14,7 +14,7 @@ use crate::build::dense_chunk::build_dense_chunk;
 use crate::build::in_order::run_in_order;
 use crate::build::node::{NodeBuilder, TreeRules};
 use crate::build::ordered::{Built, DoneNode, OrderedNodes};
-use crate::build::pages::{Page, PageStore};
+use crate::build::pages::{DiskPlace, Page, PageStore};
 use crate::build::partition::{
     ChunkRows, ChunkRowsState, OpenPages, Partition, PartitionShape, split, taken_by_shared_cells,
 };
@@ -251,7 +251,7 @@ impl<'a, 'p> Steps<'a, 'p> {
                     let page = page.get_or_insert(HeldPage {
                         block: 0,
                         first: 0,
-                        page: Page::Disk { offset: 0, bytes: 0 },
+                        page: Page::Disk(DiskPlace::default()),
                     });
                     left.extend(held_state(std::slice::from_mut(page), self.pages)?);
                 }

@@ -129,7 +129,7 @@ impl<'p> Part<'p> {
         for part in records.chunks(page_bytes) {
             let mut page = self.page.take().unwrap_or_else(|| pages.buffer());
             page.room()[..part.len()].copy_from_slice(part);
-            page.set_used(part.len());
+            page.set_used(part.len(), record_bytes);
             let page = if part.len() == page_bytes {
                 let (page, next) = pages.keep(page)?;
                 self.page = Some(next);

@@ -10,6 +10,7 @@ mod bytes;
 mod check;
 mod codec;
 mod directory;
+mod early_sync;
 mod error;
 mod fetched;
 mod header;

@@ -21,6 +21,7 @@ use crate::store::blocks::SectionWriter;
 use crate::store::bytes::StoreBytes;
 use crate::store::codec::{CodecScratch, ElementShape};
 use crate::store::directory::{Row, Rows, SectionExtent};
+use crate::store::early_sync::EarlySync;
 use crate::store::header::{HEADER_BYTES, Header, PartExtent, VERSION};
 use crate::store::metadata::Metadata;
 
@@ -115,6 +116,7 @@ pub struct StoreWriter<'a> {
     end: u64,
     nodes: Vec<PlacedNode>,
     coarse: Vec<(PlacedNode, Vec<u8>)>,
+    early: EarlySync,
 }
 
 impl<'a> StoreWriter<'a> {
@@ -123,8 +125,8 @@ impl<'a> StoreWriter<'a> {
         let part =
             PartFile::create(path).map_err(io_error("cannot create a file beside it", path))?;
         let (nodes, coarse) = (Vec::new(), Vec::new());
-        let end = HEADER_BYTES as u64;
-        Ok(StoreWriter { path: path.into(), part, before_write, end, nodes, coarse })
+        let (end, early) = (HEADER_BYTES as u64, EarlySync::default());
+        Ok(StoreWriter { path: path.into(), part, before_write, end, nodes, coarse, early })
     }
 
     /// A writer that goes on where another was when it told its state; `coarse` are the bytes of
@@ -158,7 +160,8 @@ impl<'a> StoreWriter<'a> {
         let nodes = state.nodes.into_iter().map(node).collect::<Result<_, _>>()?;
         let held = state.coarse.into_iter().map(node).collect::<Result<Vec<_>, _>>()?;
         let coarse = held.into_iter().zip(coarse).collect();
-        Ok(StoreWriter { path: path.into(), part, before_write, end: state.end, nodes, coarse })
+        let (path, end, early) = (path.into(), state.end, EarlySync::default());
+        Ok(StoreWriter { path, part, before_write, end, nodes, coarse, early })
     }
 
     /// Whether what a killed writer left is still there.
@@ -168,8 +171,9 @@ impl<'a> StoreWriter<'a> {
     }
 
     /// How far it is, and the bytes of the nodes that it holds back. Everything else is on disk.
-    pub fn state(&self) -> Result<(WriterState, Vec<&[u8]>), StoreError> {
+    pub fn state(&mut self) -> Result<(WriterState, Vec<&[u8]>), StoreError> {
         (self.before_write)()
+            .and_then(|()| self.early.finish())
             .and_then(|()| self.part.file.sync_data())
             .map_err(io_error("cannot write", &self.path))?;
         let placed = |node: &PlacedNode| PlacedState {
@@ -210,6 +214,7 @@ impl<'a> StoreWriter<'a> {
     fn append(&mut self, bytes: &[u8]) -> Result<(), StoreError> {
         (self.before_write)()
             .and_then(|()| self.part.file.write_all(bytes))
+            .and_then(|()| self.early.wrote(&self.part.file, bytes.len() as u64))
             .map_err(io_error("cannot write", &self.path))?;
         self.end += bytes.len() as u64;
         Ok(())
@@ -296,12 +301,14 @@ impl<'a> StoreWriter<'a> {
         let nodes: Vec<&PlacedNode> = self.nodes.iter().collect();
         let header = write_end(&self.part.file, self.end, &nodes, &parts, before_write)
             .map_err(io_error("cannot write", &self.path))?;
-        let complete = || -> io::Result<()> {
+        let mut early = std::mem::take(&mut self.early);
+        let mut complete = || -> io::Result<()> {
             before_write()?;
             let mut file = &self.part.file;
             file.seek(SeekFrom::Start(0))?;
             file.write_all(&header.encode())?;
             before_write()?;
+            early.finish()?;
             file.sync_all()
         };
         complete().map_err(io_error("cannot write", &self.path))?;

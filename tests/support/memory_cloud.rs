@@ -148,7 +148,9 @@ fn choose(
             // Points of one lattice place: nothing below could part them.
             chosen.push((code, color));
         } else {
-            rest.entry(code.digit(3 * (local_bits - 1), 3) as u32).or_default().push((code, color));
+            rest.entry((code >> (3 * (local_bits - 1))) as u32 & 7)
+                .or_default()
+                .push((code, color));
         }
     }
     *totals.last_mut().expect("at least one level") = chosen.len() as u32;

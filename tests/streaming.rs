@@ -342,6 +342,48 @@ fn unreadable_nodes_are_stood_in_for() {
     assert_eq!((last.points_drawn, last.problems.is_empty()), (0, false));
 }
 
+/// A line that hesitates is asked again: with the loader, whose threads wait meanwhile and not the
+/// frames, and without it. What never answers is given up after a few tries.
+#[test]
+fn what_times_out_is_read_again() {
+    let cloud = cloud(30_000);
+    let view = flight(8);
+    let (expected, _) = whole_picture(cloud.clone(), &view);
+    let room = POINT_BYTES * cloud.octree().point_count() - 1;
+    for when in [StreamWhen::Always, StreamWhen::Never] {
+        let source = SlowCloud::new(cloud.clone(), Duration::ZERO, &[]);
+        source.hesitates.lock().unwrap().extend([(NodeId(0), 1), (NodeId(2), 2)]);
+        let look_ahead = Duration::ZERO;
+        let streaming = StreamSettings { when, look_ahead, ..StreamSettings::default() };
+        let mut streamed = renderer(source.clone(), room, streaming);
+        let (mut frames, mut retried) = (0, 0);
+        let last = loop {
+            let stats = streamed.render(&view, &settings(1 << 20)).unwrap().clone();
+            retried += u64::from(stats.reads_retried);
+            frames += 1;
+            assert!(frames < 100_000, "it never ends");
+            if stats.complete {
+                break stats;
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        };
+        retried += last.stream.map_or(0, |stream| stream.reads_retried);
+        assert_eq!((retried, last.nodes_failed), (3, 0), "{when:?}");
+        assert!(last.problems.is_empty(), "{:?}", last.problems);
+        assert!(streamed.read_picture().unwrap().expect("drawn") == expected, "{when:?}");
+    }
+
+    let source = SlowCloud::new(cloud.clone(), Duration::ZERO, &[]);
+    source.hesitates.lock().unwrap().insert(NodeId(2), u32::MAX);
+    let never = StreamSettings { when: StreamWhen::Never, ..by_hand() };
+    let mut waiting = renderer(source.clone(), room, never);
+    let stats = waiting.render(&view, &FrameSettings::default()).unwrap().clone();
+    assert_eq!((stats.nodes_failed, stats.reads_retried), (1, 4), "{stats:?}");
+    assert!(stats.problems[0].contains("timed out"), "{:?}", stats.problems);
+    let tries = source.read_nodes().iter().filter(|&&node| node == NodeId(2)).count();
+    assert_eq!(tries, 5, "the first and four more");
+}
+
 /// Reading ahead of a steady camera: more of what comes into view is there when it does.
 #[test]
 fn a_steady_flight_is_foreseen() {

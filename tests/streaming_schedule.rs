@@ -10,8 +10,9 @@
 //!    3   4 5   6
 //! ```
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use esker::ids::NodeId;
 use esker::store::NodeReadError;
@@ -29,6 +30,8 @@ const LOADING_BYTES: u64 = STORED_BYTES + 2 * WORD_BYTES;
 struct Fake {
     broken: HashSet<u32>,
     panicking: HashSet<u32>,
+    /// Reading it times out so often.
+    hesitates: Mutex<HashMap<u32, u32>>,
     fetched: Mutex<Vec<u32>>,
 }
 
@@ -39,6 +42,17 @@ impl NodeReader for Fake {
         if self.broken.contains(&node.0) {
             let section = "positions".into();
             return Err(LoadError::Read(NodeReadError::NoSuchSection { section }));
+        }
+        if let Some(left) = self.hesitates.lock().unwrap().get_mut(&node.0).filter(|n| **n > 0) {
+            *left -= 1;
+            return Err(LoadError::Read(NodeReadError::Io {
+                node,
+                level: 0,
+                section: "positions".into(),
+                source: std::io::ErrorKind::TimedOut.into(),
+                start: 0,
+                end: 1,
+            }));
         }
         let words = vec![node.0; WORD_BYTES as usize / 4];
         Ok(Box::new(LoadedNode { words, position_words: 10 }))
@@ -273,6 +287,45 @@ fn a_node_that_fails_is_told_once_and_not_tried_again() {
     assert_eq!(schedule.residency(node(1)), Residency::Failed);
     assert_eq!(*reader.fetched.lock().unwrap(), [0, 1, 2, 3]);
     assert_eq!(schedule.stats().ram_bytes, 2 * WORD_BYTES, "nothing is kept free for them");
+}
+
+/// A read that times out is tried again after 50 ms, 100 ms and so on, four times; meanwhile all
+/// else goes on, and a new list does not make it forget.
+#[test]
+fn a_read_that_times_out_waits_for_another_try() {
+    let reader = Arc::new(Fake::default());
+    reader.hesitates.lock().unwrap().extend([(1, 2), (2, 99)]);
+    let mut schedule = schedule(&reader, settings(1 << 20, 2));
+    let read_at = |schedule: &mut Schedule, ms: u64| {
+        schedule.set_time(Duration::from_millis(ms));
+        while let Some(job) = schedule.next_job() {
+            schedule.finish(job.run());
+        }
+        std::mem::take(&mut *reader.fetched.lock().unwrap())
+    };
+    schedule.replace(wishes(&[1, 0, 2, 3]));
+    assert_eq!(read_at(&mut schedule, 1_000), [1, 0, 2, 3]);
+    assert_eq!(schedule.next_retry(), Some(Duration::from_millis(50)));
+    assert!(!schedule.is_idle() && schedule.take_failures().is_empty());
+    assert_eq!(schedule.residency(node(1)), Residency::Queued);
+    assert_eq!(schedule.stats().ram_bytes, 2 * WORD_BYTES, "nothing is kept free for them");
+    assert_eq!(read_at(&mut schedule, 1_049), [0u32; 0], "too early");
+    assert_eq!(read_at(&mut schedule, 1_050), [1, 2]);
+    schedule.replace(wishes(&[2, 1]));
+    assert_eq!(read_at(&mut schedule, 1_100), [0u32; 0]);
+    assert_eq!(schedule.next_retry(), Some(Duration::from_millis(50)));
+    assert_eq!(read_at(&mut schedule, 1_150), [2, 1]);
+    assert_eq!(take_all(&mut schedule), [1], "it answered in the end");
+    assert_eq!(read_at(&mut schedule, 1_350), [2]);
+    assert!(schedule.take_failures().is_empty());
+    assert_eq!(read_at(&mut schedule, 1_750), [2], "the fourth and last");
+    let failures = schedule.take_failures();
+    assert_eq!(failures.len(), 1);
+    assert!(failures[0].1.to_string().contains("timed out"), "{}", failures[0].1);
+    assert_eq!(schedule.residency(node(2)), Residency::Failed);
+    assert_eq!((schedule.next_retry(), schedule.is_idle()), (None, true));
+    // Twice for one, four times for the other.
+    assert_eq!(schedule.stats().reads_retried, 6);
 }
 
 /// What is under way for one scene does not end up in the next, and its room is free again.

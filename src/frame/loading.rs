@@ -14,7 +14,7 @@ use crate::frame::renderer::milliseconds;
 use crate::frame::{FrameError, FrameSettings, Loading, Renderer};
 use crate::geometry::View;
 use crate::select::{Availability, Cut};
-use crate::stream::{LoadedNode, SceneNode};
+use crate::stream::{LoadedNode, SceneNode, read_with_retries};
 
 /// Bytes of nodes read at a time, so that what waits for its upload stays bounded.
 const READ_AHEAD_BYTES: u64 = 64 << 20;
@@ -146,9 +146,11 @@ impl Renderer {
             let most_bytes = READ_AHEAD_BYTES.min(quota_bytes - loaded_bytes);
             let (now, later) = rest.split_at(self.leading_nodes(rest, most_bytes));
             rest = later;
-            let read: Vec<_> = now.par_iter().map(|&node| reader.read(node)).collect();
+            let read = |&node: &SceneNode| read_with_retries(|| reader.read(node));
+            let read: Vec<_> = now.par_iter().map(read).collect();
             self.stats.nodes_waited_for += now.len() as u32;
-            for (&node, loaded) in now.iter().zip(read) {
+            for (&node, (loaded, retries)) in now.iter().zip(read) {
+                self.stats.reads_retried += retries;
                 match loaded {
                     Ok(loaded) => {
                         loaded_bytes += loaded.bytes();
@@ -174,7 +176,10 @@ impl Renderer {
             Device::Cpu { .. } => self.cache.insert_in_memory(node, depth, loaded),
             #[cfg(feature = "gpu")]
             Device::Gpu(on_gpu) => {
-                self.cache.insert_on_device(&on_gpu.gpu, node, depth, &loaded)?
+                let moved_before = self.cache.bytes_moved();
+                let fits = self.cache.insert_on_device(&on_gpu.gpu, node, depth, &loaded)?;
+                self.stats.bytes_moved += self.cache.bytes_moved() - moved_before;
+                fits
             }
         };
         if fits {

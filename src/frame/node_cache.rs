@@ -53,13 +53,14 @@ pub struct NodeCache {
     lru: Lru<SceneNode>,
     frame: u64,
     evicted: u32,
+    bytes_moved: u64,
 }
 
 impl NodeCache {
     /// An empty cache.
     pub fn new(storage: Storage) -> Self {
         let (nodes, lru) = (HashMap::new(), Lru::default());
-        NodeCache { storage, nodes, lru, frame: 0, evicted: 0 }
+        NodeCache { storage, nodes, lru, frame: 0, evicted: 0, bytes_moved: 0 }
     }
 
     /// Starts a frame; nodes touched from here on stay until the next one.
@@ -101,6 +102,21 @@ impl NodeCache {
             #[cfg(feature = "gpu")]
             Storage::Device(arena) => arena.limit_bytes(),
         }
+    }
+
+    /// Bytes of nodes, none larger than `largest_bytes`, that surely have room together: the
+    /// limit, but for what the ends of several buffers may leave free.
+    pub fn room_bytes(&self, largest_bytes: u64) -> u64 {
+        match &self.storage {
+            Storage::Memory { limit_bytes } => *limit_bytes,
+            #[cfg(feature = "gpu")]
+            Storage::Device(arena) => arena.room_bytes(largest_bytes),
+        }
+    }
+
+    /// Bytes moved within the device so far.
+    pub fn bytes_moved(&self) -> u64 {
+        self.bytes_moved
     }
 
     /// Nodes that had to leave in this frame.
@@ -190,9 +206,33 @@ impl NodeCache {
                 self.add(node, depth, ready, loaded.bytes());
                 return Ok(true);
             }
-            if !self.evict_one() {
+            if !self.evict_one() && !self.join_free_room(gpu, count)? {
                 return Ok(false);
             }
+        }
+    }
+
+    /// Moves what is in a buffer together, if that makes room for `count` words in one piece.
+    #[cfg(feature = "gpu")]
+    fn join_free_room(&mut self, gpu: &Gpu, count: u32) -> Result<bool, GpuError> {
+        let Storage::Device(arena) = &mut self.storage else { return Ok(false) };
+        let Some(shard) = arena.shard_with(count) else { return Ok(false) };
+        let mut ranges: Vec<&mut WordRange> = self
+            .nodes
+            .values_mut()
+            .filter_map(|ready| match &mut ready.words {
+                Words::Device(range) if range.shard == shard => Some(range),
+                _ => None,
+            })
+            .collect();
+        match arena.pack(gpu, shard, &mut ranges) {
+            Ok(bytes) => {
+                self.bytes_moved += bytes;
+                Ok(true)
+            }
+            // Not even for the piece that is moved at a time: everything stays where it is.
+            Err(GpuError::OutOfMemory { .. }) => Ok(false),
+            Err(error) => Err(error),
         }
     }
 

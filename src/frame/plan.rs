@@ -47,7 +47,7 @@ impl Renderer {
         let made_for = MadeFor {
             view: *view,
             cut: *cut,
-            limit_bytes: self.cache.limit_bytes(),
+            limit_bytes: self.cache.room_bytes(self.largest_node_bytes),
             failed: self.failed.len(),
         };
         if self.plan.made_for == Some(made_for) {

@@ -31,6 +31,8 @@ pub struct Renderer {
     pub(super) sources: Vec<Arc<dyn NodeSource>>,
     /// Bytes that all nodes of the scene have when they are ready.
     pub(super) scene_bytes: u64,
+    /// The most that one of them has.
+    pub(super) largest_node_bytes: u64,
     /// Reads nodes in the colours they have now.
     pub(super) reader: Option<Arc<SceneReader>>,
     pub(super) has_noted_colors: bool,
@@ -115,6 +117,7 @@ impl Renderer {
             device,
             sources: Vec::new(),
             scene_bytes: 0,
+            largest_node_bytes: 0,
             reader: None,
             has_noted_colors: false,
             former: None,
@@ -155,7 +158,8 @@ impl Renderer {
     pub fn set_scene(&mut self, sources: Vec<Arc<dyn NodeSource>>) {
         self.sources = sources;
         self.read_before = self.bytes_read();
-        self.scene_bytes = self.all_node_bytes();
+        self.scene_bytes = self.all_node_bytes().sum();
+        self.largest_node_bytes = self.all_node_bytes().max().unwrap_or(0);
         self.reader = None;
         self.former = None;
         self.plan.invalidate();
@@ -318,8 +322,8 @@ impl Renderer {
         if gives {
             let limit_bytes = self.cache.limit_bytes();
             self.note_problem(format!(
-                "memory ran out: no more than {} MiB of points are held from now on",
-                limit_bytes >> 20
+                "memory ran out: no more than {:.1} MiB of points are held from now on",
+                limit_bytes as f64 / f64::from(1 << 20)
             ));
         }
         gives
@@ -377,13 +381,13 @@ impl Renderer {
         self.stats.nodes_over_budget = counters().map(|c| c.nodes_over_budget).sum();
     }
 
-    /// Bytes that all nodes of the scene have when they are ready.
-    fn all_node_bytes(&self) -> u64 {
+    /// Bytes that each node of the scene has when it is ready.
+    fn all_node_bytes(&self) -> impl Iterator<Item = u64> {
         let nodes = self.sources.iter().enumerate().flat_map(|(cloud, source)| {
             let count = source.octree().nodes().len() as u32;
             (0..count).map(move |node| (cloud, NodeId(node)))
         });
-        nodes.map(|node| self.word_bytes(node)).sum()
+        nodes.map(|node| self.word_bytes(node))
     }
 
     fn still_holds(&self, view: &View, settings: &FrameSettings) -> bool {

@@ -33,6 +33,8 @@ pub struct FrameStats {
     pub nodes_waited_for: u32,
     /// Nodes that the view wants, have room, and are not there yet.
     pub nodes_requested: u32,
+    /// Reads of this frame's own that failed for a passing reason and were tried again.
+    pub reads_retried: u32,
     /// Nodes that cannot be read.
     pub nodes_failed: u32,
     /// Nodes taken out of memory for others.
@@ -51,6 +53,8 @@ pub struct FrameStats {
     pub bytes_read: u64,
     /// Bytes sent to the device: words of nodes and tables of the frame.
     pub bytes_uploaded: u64,
+    /// Bytes of points moved on the device, so that free room became one piece.
+    pub bytes_moved: u64,
     /// Bytes of points held for drawing.
     pub node_bytes: u64,
     /// What the loader did and holds; absent while the scene needs none.

@@ -121,7 +121,9 @@ impl Renderer {
     pub(super) fn streams(&self) -> bool {
         !self.streaming.is_refused
             && match self.streaming.settings.when {
-                StreamWhen::Auto => self.scene_bytes > self.cache.limit_bytes(),
+                StreamWhen::Auto => {
+                    self.scene_bytes > self.cache.room_bytes(self.largest_node_bytes)
+                }
                 StreamWhen::Always => !self.sources.is_empty(),
                 StreamWhen::Never => false,
             }

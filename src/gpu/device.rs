@@ -8,6 +8,7 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
+use crate::gpu::memory::Account;
 use crate::gpu::shader::PixelAtomics;
 
 /// Why the GPU did not do what it was asked.
@@ -70,6 +71,7 @@ pub struct Gpu {
     narrow_compute: bool,
     failure: Failure,
     waits: AtomicU64,
+    account: Arc<Account>,
 }
 
 const COMPUTE_FEATURES: wgpu::Features =
@@ -153,6 +155,7 @@ impl Gpu {
             ),
             failure,
             waits: AtomicU64::new(0),
+            account: Arc::default(),
         }
     }
 
@@ -228,6 +231,10 @@ impl Gpu {
             Some(error) => Err(GpuError::Refused { doing, reason: error.to_string() }),
             None => Ok(value),
         }
+    }
+
+    pub(super) fn account(&self) -> &Arc<Account> {
+        &self.account
     }
 
     /// How often somebody waited for the GPU so far.

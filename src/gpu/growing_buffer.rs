@@ -1,13 +1,13 @@
 //! A buffer that is written anew each frame and grows when the frame does.
 
-use crate::gpu::{Gpu, GpuError};
+use crate::gpu::{Gpu, GpuError, HeldBuffer};
 
 /// A buffer of bytes that the CPU writes and shaders read.
 #[derive(Debug)]
 pub struct GrowingBuffer {
     label: &'static str,
     usage: wgpu::BufferUsages,
-    buffer: Option<wgpu::Buffer>,
+    buffer: Option<HeldBuffer>,
 }
 
 impl GrowingBuffer {
@@ -30,8 +30,7 @@ impl GrowingBuffer {
                 usage: self.usage | wgpu::BufferUsages::COPY_DST,
                 mapped_at_creation: false,
             };
-            let create = || gpu.device().create_buffer(&descriptor);
-            self.buffer = Some(gpu.checked("hold a frame's tables", create)?);
+            self.buffer = Some(gpu.create_buffer("hold a frame's tables", &descriptor)?);
         }
         Ok(self.buffer.as_ref().expect("it was just made"))
     }
@@ -50,11 +49,11 @@ impl GrowingBuffer {
 
     /// The buffer, if anything was ever written.
     pub fn get(&self) -> Option<&wgpu::Buffer> {
-        self.buffer.as_ref()
+        self.buffer.as_deref()
     }
 
     /// Bytes held.
     pub fn held_bytes(&self) -> u64 {
-        self.buffer.as_ref().map_or(0, wgpu::Buffer::size)
+        self.buffer.as_ref().map_or(0, |buffer| buffer.size())
     }
 }

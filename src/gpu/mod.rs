@@ -14,6 +14,8 @@ mod device;
 #[cfg(feature = "gpu")]
 mod growing_buffer;
 #[cfg(feature = "gpu")]
+mod memory;
+#[cfg(feature = "gpu")]
 mod read_back;
 #[cfg(feature = "gpu")]
 pub mod shader;
@@ -28,6 +30,8 @@ pub use bandwidth::copy_bandwidth;
 pub use device::{Gpu, GpuError, adapter_preference, wanted_features, wanted_limits};
 #[cfg(feature = "gpu")]
 pub use growing_buffer::GrowingBuffer;
+#[cfg(feature = "gpu")]
+pub use memory::{HeldBuffer, HeldBytes};
 #[cfg(feature = "gpu")]
 pub use read_back::{read_buffer, read_texture};
 #[cfg(feature = "gpu")]

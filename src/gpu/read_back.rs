@@ -49,17 +49,17 @@ fn read_through(
     size: u64,
     copy: impl FnOnce(&mut wgpu::CommandEncoder, &wgpu::Buffer),
 ) -> Result<Vec<u8>, GpuError> {
-    let staging = gpu.checked("read back", || {
-        let staging = gpu.device().create_buffer(&wgpu::BufferDescriptor {
-            label: Some("read back"),
-            size,
-            usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
-            mapped_at_creation: false,
-        });
+    let descriptor = wgpu::BufferDescriptor {
+        label: Some("read back"),
+        size,
+        usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
+        mapped_at_creation: false,
+    };
+    let staging = gpu.create_buffer("read back", &descriptor)?;
+    gpu.checked("read back", || {
         let mut encoder = gpu.device().create_command_encoder(&Default::default());
         copy(&mut encoder, &staging);
         gpu.queue().submit([encoder.finish()]);
-        staging
     })?;
     let (sender, receiver) = mpsc::channel();
     staging.map_async(wgpu::MapMode::Read, .., move |result| {

@@ -1,6 +1,6 @@
 //! The textures of one view: what the passes draw to, and what is read back or shown.
 
-use crate::gpu::{Gpu, GpuError, read_texture};
+use crate::gpu::{Gpu, GpuError, HeldBytes, read_texture};
 use crate::passes::Picture;
 
 /// Colour and, mostly, reversed-z depth of one size.
@@ -11,6 +11,7 @@ pub struct Targets {
     color: wgpu::Texture,
     color_view: wgpu::TextureView,
     depth: Option<(wgpu::Texture, wgpu::TextureView)>,
+    _bytes: HeldBytes,
 }
 
 impl Targets {
@@ -30,6 +31,9 @@ impl Targets {
     }
 
     fn of(gpu: &Gpu, width_px: u32, height_px: u32, has_depth: bool) -> Result<Self, GpuError> {
+        let textures = 1 + u64::from(has_depth);
+        let bytes = 4 * textures * u64::from(width_px) * u64::from(height_px);
+        let held = gpu.hold("hold the picture", bytes)?;
         gpu.checked("hold the picture", || {
             let texture = |label, format| {
                 gpu.device().create_texture(&wgpu::TextureDescriptor {
@@ -56,7 +60,7 @@ impl Targets {
                 let view = depth.create_view(&Default::default());
                 (depth, view)
             });
-            Targets { width_px, height_px, color, color_view, depth }
+            Targets { width_px, height_px, color, color_view, depth, _bytes: held }
         })
     }
 

@@ -125,3 +125,32 @@ pub enum NodeReadError {
         section: String,
     },
 }
+
+impl NodeReadError {
+    /// Whether another try may succeed: a line or a disk that hesitates, not a file that is
+    /// damaged, shorter or gone.
+    pub fn is_transient(&self) -> bool {
+        use io::ErrorKind::*;
+        let NodeReadError::Io { source, .. } = self else { return false };
+        let is_io_error = cfg!(unix) && source.raw_os_error() == Some(EIO);
+        is_io_error
+            || matches!(
+                source.kind(),
+                Interrupted
+                    | TimedOut
+                    | WouldBlock
+                    | ConnectionReset
+                    | ConnectionAborted
+                    | ConnectionRefused
+                    | NotConnected
+                    | BrokenPipe
+                    | HostUnreachable
+                    | NetworkUnreachable
+                    | NetworkDown
+                    | ResourceBusy
+            )
+    }
+}
+
+/// What Unix says when a device does not answer.
+const EIO: i32 = 5;

@@ -29,6 +29,7 @@ pub struct Loader {
 
 struct Shared {
     state: Mutex<State>,
+    began: Instant,
     changed: Condvar,
     wake: Wake,
 }
@@ -53,7 +54,12 @@ impl Loader {
     /// Starts the threads; fewer if the system gives no more, an error if it gives none.
     pub fn start(settings: StreamSettings, wake: Wake) -> std::io::Result<Loader> {
         let state = State { schedule: Schedule::new(settings), is_closed: false };
-        let shared = Arc::new(Shared { state: Mutex::new(state), changed: Condvar::new(), wake });
+        let shared = Arc::new(Shared {
+            state: Mutex::new(state),
+            began: Instant::now(),
+            changed: Condvar::new(),
+            wake,
+        });
         let mut threads = 0;
         for number in 0..settings.in_flight_nodes {
             let shared = shared.clone();
@@ -161,13 +167,20 @@ impl Shared {
                 if state.is_closed {
                     return;
                 }
-                match state.schedule.next_job() {
-                    Some(job) => break job,
+                state.schedule.set_time(self.began.elapsed());
+                if let Some(job) = state.schedule.next_job() {
+                    break job;
+                }
+                state = match state.schedule.next_retry() {
+                    Some(wait) => {
+                        let waited = self.changed.wait_timeout(state, wait);
+                        waited.unwrap_or_else(PoisonError::into_inner).0
+                    }
                     None => {
                         let waited = self.changed.wait(state);
-                        state = waited.unwrap_or_else(PoisonError::into_inner);
+                        waited.unwrap_or_else(PoisonError::into_inner)
                     }
-                }
+                };
             };
             drop(state);
             // Where there was one there may be another.
@@ -177,14 +190,22 @@ impl Shared {
     }
 
     fn work(&self) -> bool {
-        let job = self.lock().schedule.next_job();
+        let job = {
+            let mut state = self.lock();
+            state.schedule.set_time(self.began.elapsed());
+            state.schedule.next_job()
+        };
         let Some(job) = job else { return false };
         self.take_in(job.run());
         true
     }
 
     fn take_in(&self, done: crate::stream::schedule::Done) {
-        let matters = self.lock().schedule.finish(done);
+        let matters = {
+            let mut state = self.lock();
+            state.schedule.set_time(self.began.elapsed());
+            state.schedule.finish(done)
+        };
         self.changed.notify_one();
         if matters {
             (self.wake)();

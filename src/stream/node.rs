@@ -91,6 +91,13 @@ pub enum LoadError {
     },
 }
 
+impl LoadError {
+    /// Whether another try may succeed.
+    pub fn is_transient(&self) -> bool {
+        matches!(self, LoadError::Read(error) if error.is_transient())
+    }
+}
+
 /// Where nodes are read from. Called from several threads at once.
 pub trait NodeReader: Send + Sync {
     /// Reads the stored bytes of a node; may take its time.

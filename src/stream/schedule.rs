@@ -7,10 +7,11 @@
 use std::collections::{HashMap, HashSet, VecDeque};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
+use std::time::Duration;
 
 use crate::stream::{
-    Fetched, LoadError, LoadedNode, Lru, NodeReader, NodeSize, Residency, SceneNode,
-    StreamSettings, StreamStats, Wish,
+    Fetched, LoadError, LoadedNode, Lru, MOST_RETRIES, NodeReader, NodeSize, Residency, SceneNode,
+    StreamSettings, StreamStats, Wish, wait_before,
 };
 
 /// One step of loading one node, for any thread.
@@ -99,8 +100,20 @@ pub struct Schedule {
     lru: Lru<SceneNode>,
     failed: HashSet<SceneNode>,
     failures: Vec<(SceneNode, LoadError)>,
+    /// Nodes whose last read failed for a passing reason.
+    retries: HashMap<SceneNode, Retry>,
+    /// What it is told.
+    now: Duration,
     read_before: HashSet<SceneNode>,
     stats: StreamStats,
+}
+
+/// A read that is to be tried again.
+#[derive(Clone, Copy)]
+struct Retry {
+    /// Tries after the first, this one included.
+    number: u32,
+    due: Duration,
 }
 
 impl Schedule {
@@ -126,6 +139,8 @@ impl Schedule {
             lru: Lru::default(),
             failed: HashSet::new(),
             failures: Vec::new(),
+            retries: HashMap::new(),
+            now: Duration::ZERO,
             read_before: HashSet::new(),
             stats: StreamStats::default(),
         }
@@ -137,6 +152,7 @@ impl Schedule {
         let former = std::mem::replace(self, Schedule::new(self.settings));
         self.reader = Some(reader);
         self.scene = former.scene + 1;
+        self.now = former.now;
         self.unpacking = former.unpacking;
         self.jobs = former.jobs;
         self.job_bytes = former.job_bytes;
@@ -199,6 +215,18 @@ impl Schedule {
         std::mem::take(&mut self.failures)
     }
 
+    /// Tells the time, on any clock that does not go back.
+    pub fn set_time(&mut self, now: Duration) {
+        self.now = self.now.max(now);
+    }
+
+    /// Time until a read is to be tried again; `None` if none is.
+    pub fn next_retry(&self) -> Option<Duration> {
+        let wanted = self.retries.iter().filter(|(node, _)| self.place.contains_key(node));
+        let waits = wanted.map(|(_, retry)| retry.due.saturating_sub(self.now));
+        waits.filter(|wait| !wait.is_zero()).min()
+    }
+
     /// The next thing to do; `None` until something changes.
     pub fn next_job(&mut self) -> Option<Job> {
         self.next_unpacking().or_else(|| self.next_reading())
@@ -219,11 +247,18 @@ impl Schedule {
             }
             Ok(Step::Unpacked(words)) => {
                 self.under_way.remove(&node);
+                self.retries.remove(&node);
                 self.release(size);
                 self.keep(node, size, words)
             }
+            Err(error) if error.is_transient() && self.tries_again(node) => {
+                self.under_way.remove(&node);
+                self.release(size);
+                false
+            }
             Err(error) => {
                 self.under_way.remove(&node);
+                self.retries.remove(&node);
                 self.release(size);
                 self.failed.insert(node);
                 self.failures.push((node, error));
@@ -259,7 +294,9 @@ impl Schedule {
 
     /// Whether nothing is under way and nothing can begin before the list changes.
     pub fn is_idle(&mut self) -> bool {
-        self.jobs == 0 && self.find_next().is_none_or(|(index, _)| !self.makes_room(index, false))
+        self.jobs == 0
+            && self.next_retry().is_none()
+            && self.find_next().is_none_or(|(index, _)| !self.makes_room(index, false))
     }
 
     /// Counters.
@@ -313,6 +350,20 @@ impl Schedule {
         })
     }
 
+    /// Notes that a node is to be read again later; `false` if that was done often enough.
+    fn tries_again(&mut self, node: SceneNode) -> bool {
+        let number = self.retries.get(&node).map_or(0, |retry| retry.number);
+        if number >= MOST_RETRIES {
+            return false;
+        }
+        let due = self.now.saturating_add(wait_before(number));
+        self.retries.insert(node, Retry { number: number + 1, due });
+        self.stats.reads_retried += 1;
+        // It may be looked for again.
+        self.next = self.place.get(&node).map_or(self.next, |&place| place.min(self.next));
+        true
+    }
+
     fn is_to_read(&self, node: SceneNode) -> bool {
         !self.held.contains_key(&node)
             && !self.under_way.contains_key(&node)
@@ -321,11 +372,21 @@ impl Schedule {
     }
 
     fn find_next(&mut self) -> Option<(usize, Wish)> {
-        while let Some(wish) = self.wishes.get(self.next) {
+        let mut index = self.next;
+        // Those that wait for another try are passed over, but not for good.
+        let mut passes_over = false;
+        while let Some(wish) = self.wishes.get(index) {
+            let waits = self.retries.get(&wish.node).is_some_and(|retry| retry.due > self.now);
             if self.is_to_read(wish.node) {
-                return Some((self.next, *wish));
+                if !waits {
+                    return Some((index, *wish));
+                }
+                passes_over = true;
             }
-            self.next += 1;
+            index += 1;
+            if !passes_over {
+                self.next = index;
+            }
         }
         None
     }

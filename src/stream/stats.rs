@@ -33,6 +33,8 @@ pub struct StreamStats {
     pub nodes_read_again: u64,
     /// Of these, those that were read ahead.
     pub nodes_read_ahead: u64,
+    /// Reads that failed for a passing reason and were to be tried again.
+    pub reads_retried: u64,
     /// Nodes that could not be read.
     pub nodes_unreadable: u64,
     /// Nodes dropped from main memory for others.

@@ -1,6 +1,6 @@
 //! A cloud in memory that behaves like a bad disk: slow, and unreadable in places.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::sync::{Arc, Mutex};
 use std::thread::ThreadId;
 use std::time::Duration;
@@ -19,6 +19,8 @@ pub struct SlowCloud {
     cloud: Arc<MemoryCloud>,
     delay: Duration,
     broken: HashSet<NodeId>,
+    /// How often reading a node will still time out.
+    pub hesitates: Mutex<HashMap<NodeId, u32>>,
     /// Nodes whose positions were read, in order, and by which thread.
     pub reads: Mutex<Vec<(NodeId, ThreadId)>>,
 }
@@ -26,7 +28,13 @@ pub struct SlowCloud {
 impl SlowCloud {
     pub fn new(cloud: Arc<MemoryCloud>, delay: Duration, broken: &[u32]) -> Arc<SlowCloud> {
         let broken = broken.iter().map(|&node| NodeId(node)).collect();
-        Arc::new(SlowCloud { cloud, delay, broken, reads: Mutex::default() })
+        Arc::new(SlowCloud {
+            cloud,
+            delay,
+            broken,
+            hesitates: Mutex::default(),
+            reads: Mutex::default(),
+        })
     }
 
     /// Nodes read so far, in order.
@@ -55,6 +63,18 @@ impl NodeSource for SlowCloud {
         self.reads.lock().unwrap().push((node, std::thread::current().id()));
         if !self.delay.is_zero() {
             std::thread::sleep(self.delay);
+        }
+        if let Some(left) = self.hesitates.lock().unwrap().get_mut(&node).filter(|left| **left > 0)
+        {
+            *left -= 1;
+            return Err(NodeReadError::Io {
+                node,
+                level: self.octree().node(node).depth,
+                section: "positions".into(),
+                source: std::io::ErrorKind::TimedOut.into(),
+                start: 0,
+                end: 10,
+            });
         }
         if self.broken.contains(&node) {
             return Err(NodeReadError::Checksum {

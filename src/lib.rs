@@ -23,3 +23,4 @@ pub mod store;
 pub mod stream;
 #[cfg(feature = "viewer")]
 pub mod viewer;
+pub mod visibility;

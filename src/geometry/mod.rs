@@ -4,6 +4,7 @@ mod aabb;
 mod frustum;
 mod morton;
 mod preset;
+pub mod raster;
 mod view;
 
 pub use aabb::Aabb;

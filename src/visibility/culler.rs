@@ -1,0 +1,222 @@
+//! One view's culling, frame by frame, by any of the algorithms.
+
+use crate::geometry::{Camera, View};
+use crate::hierarchy::BoundingHierarchy;
+use crate::ids::TreeNodeId;
+use crate::visibility::automatic::InFrustum;
+use crate::visibility::chc::Chc;
+use crate::visibility::chc_plus::ChcPlus;
+use crate::visibility::frontier::Frontier;
+use crate::visibility::near_optimal::Judge;
+use crate::visibility::walk::{Parts, Walk};
+use crate::visibility::{
+    AutoSwitch, ChcOptions, ChcPlusOptions, CoherenceTable, CullCounters, CullingCosts,
+    OcclusionDevice, ViewHistory, reference,
+};
+
+/// How it is decided what is drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Algorithm {
+    /// Everything.
+    None,
+    /// What lies in the view frustum.
+    Frustum,
+    /// Each leaf in the frustum is asked about and waited for.
+    Naive,
+    /// Each node on the way down is asked about and waited for.
+    StopAndWait,
+    /// Coherent hierarchical culling.
+    Chc(ChcOptions),
+    /// CHC++.
+    ChcPlus(ChcPlusOptions),
+    /// CHC with questions only where they are expected to pay.
+    NearOptimal(ChcOptions, CullingCosts),
+    /// CHC++ while it pays, the frustum alone otherwise.
+    Auto(ChcPlusOptions, CullingCosts),
+}
+
+impl Algorithm {
+    /// The name on the command line.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Algorithm::None => "none",
+            Algorithm::Frustum => "frustum",
+            Algorithm::Naive => "naive",
+            Algorithm::StopAndWait => "stop-and-wait",
+            Algorithm::Chc(_) => "chc",
+            Algorithm::ChcPlus(_) => "chc++",
+            Algorithm::NearOptimal(..) => "near-optimal",
+            Algorithm::Auto(..) => "auto",
+        }
+    }
+
+    fn leaf_cost(&self) -> u64 {
+        match self {
+            Algorithm::Chc(options) | Algorithm::NearOptimal(options, _) => options.leaf_cost,
+            Algorithm::ChcPlus(options) | Algorithm::Auto(options, _) => options.leaf_cost,
+            _ => 0,
+        }
+    }
+}
+
+/// A view moves incoherently when its eye jumps this share of the scene's diagonal, or it turns by
+/// more than 45 degrees.
+const JUMP: f64 = 0.05;
+const TURN_COSINE: f64 = std::f64::consts::FRAC_1_SQRT_2;
+
+/// The state of one view: a camera, or a light.
+#[derive(Clone, Debug)]
+pub struct Culler {
+    algorithm: Algorithm,
+    history: ViewHistory,
+    frontier: Frontier,
+    chc: Chc,
+    plus: ChcPlus,
+    switch: AutoSwitch,
+    last_camera: Option<Camera>,
+    queried_last: bool,
+    drawn: Vec<TreeNodeId>,
+    counters: CullCounters,
+}
+
+impl Culler {
+    /// A view that was never seen.
+    pub fn new(algorithm: Algorithm) -> Self {
+        Culler {
+            algorithm,
+            history: ViewHistory::default(),
+            frontier: Frontier::default(),
+            chc: Chc::default(),
+            plus: ChcPlus::default(),
+            switch: AutoSwitch::default(),
+            last_camera: None,
+            queried_last: false,
+            drawn: Vec::new(),
+            counters: CullCounters::default(),
+        }
+    }
+
+    /// The algorithm at work.
+    pub fn algorithm(&self) -> &Algorithm {
+        &self.algorithm
+    }
+
+    /// Changes the algorithm or its options; what was learned is forgotten if the algorithm is
+    /// another one.
+    pub fn set_algorithm(&mut self, algorithm: Algorithm) {
+        if std::mem::discriminant(&algorithm) != std::mem::discriminant(&self.algorithm) {
+            self.forget();
+        }
+        self.algorithm = algorithm;
+    }
+
+    /// Forgets what was seen: the scene was rebuilt.
+    pub fn forget(&mut self) {
+        self.history.forget();
+        self.chc.forget();
+        self.plus.forget();
+        self.switch = AutoSwitch::default();
+        self.last_camera = None;
+    }
+
+    /// Lets tight bounds be chosen anew: boxes moved far.
+    pub fn forget_tight_bounds(&mut self) {
+        self.plus.forget_tight_bounds();
+    }
+
+    /// Leaves drawn in the last frame, in order. Subtrees that counted as leaves stand as one.
+    pub fn drawn(&self) -> &[TreeNodeId] {
+        &self.drawn
+    }
+
+    /// Counts of the last frame.
+    pub fn counters(&self) -> &CullCounters {
+        &self.counters
+    }
+
+    /// What each node remembers.
+    pub fn history(&self) -> &ViewHistory {
+        &self.history
+    }
+
+    /// How likely hidden nodes are to stay hidden, as CHC++ learned it.
+    pub fn hidden_coherence(&self) -> &CoherenceTable {
+        self.plus.hidden_table()
+    }
+
+    /// The switch of [`Algorithm::Auto`].
+    pub fn switch(&self) -> &AutoSwitch {
+        &self.switch
+    }
+
+    /// Draws one frame through a device, between its `begin_frame` and `end_frame`.
+    pub fn frame<H: BoundingHierarchy>(
+        &mut self,
+        tree: &H,
+        view: &View,
+        device: &mut dyn OcclusionDevice,
+    ) -> CullCounters {
+        let coherent = self.queried_last && self.is_coherent(tree, &view.camera);
+        self.last_camera = Some(view.camera);
+        self.counters = CullCounters::default();
+        self.drawn.clear();
+        device.begin_frame(view);
+        self.history.begin_frame(tree);
+        let parts = Parts {
+            history: &mut self.history,
+            device,
+            counters: &mut self.counters,
+            drawn: &mut self.drawn,
+            frontier: &mut self.frontier,
+        };
+        let mut walk = Walk::new(tree, view, self.algorithm.leaf_cost(), parts);
+        let mut queries = false;
+        match self.algorithm {
+            Algorithm::None => reference::everything(&mut walk),
+            Algorithm::Frustum => reference::frustum(&mut walk),
+            Algorithm::Naive => reference::naive(&mut walk, 0),
+            Algorithm::StopAndWait => reference::stop_and_wait(&mut walk, 0),
+            Algorithm::Chc(options) => {
+                self.chc.judge = None;
+                self.chc.frame(&mut walk, &options, !coherent);
+                queries = true;
+            }
+            Algorithm::NearOptimal(options, costs) => {
+                self.chc.judge.get_or_insert_with(|| Judge::new(costs)).set_costs(costs);
+                self.chc.frame(&mut walk, &options, !coherent);
+                queries = true;
+            }
+            Algorithm::ChcPlus(options) => {
+                self.plus.frame(&mut walk, &options, !coherent);
+                queries = true;
+            }
+            Algorithm::Auto(options, _) => {
+                queries = self.switch.wants_queries();
+                if queries {
+                    self.plus.frame(&mut walk, &options, !coherent);
+                } else {
+                    if self.queried_last {
+                        // Answers that nobody will read, and nodes as they then were.
+                        self.plus.forget();
+                    }
+                    reference::frustum(&mut walk);
+                }
+            }
+        }
+        device.end_frame();
+        self.queried_last = queries;
+        self.counters.state_switches = device.state_switches();
+        self.counters.rounds = device.rounds();
+        if let Algorithm::Auto(options, costs) = self.algorithm {
+            let in_frustum = InFrustum::count(tree, view, options.leaf_cost);
+            self.switch.observe(&self.counters, &in_frustum, &costs);
+        }
+        self.counters
+    }
+
+    fn is_coherent<H: BoundingHierarchy>(&self, tree: &H, camera: &Camera) -> bool {
+        let (Some(last), Some(root)) = (self.last_camera, tree.root()) else { return false };
+        let far = JUMP * tree.bounds(root).diagonal();
+        last.eye.distance(camera.eye) <= far && last.forward.dot(camera.forward) >= TURN_COSINE
+    }
+}

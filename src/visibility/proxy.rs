@@ -1,0 +1,62 @@
+//! The box that is drawn in place of what a node holds.
+//!
+//! It must cover at least the pixels that the content covers, at no greater distance. Corners of
+//! both are rounded to the sub-pixel grid and to f32, each by itself, so the box is widened by half a
+//! pixel where it is near, and by four sub-pixel steps where it is far. Splats reach over the box of
+//! their centres by up to their size on screen.
+
+use crate::geometry::{Aabb, View};
+use crate::hierarchy::BoundingHierarchy;
+use crate::ids::TreeNodeId;
+use glam::DVec3;
+
+/// Rounding to f32 relative to the eye, and a margin.
+const ROUNDING: f64 = 1e-6;
+/// Steps of 1/256 pixel by which box and content may be apart on screen.
+const SNAPPING_PX: f64 = 4.0 / 256.0;
+
+/// The rule for one view.
+#[derive(Clone, Copy, Debug)]
+pub struct Proxies {
+    eye: DVec3,
+    /// Length of a pixel at distance 1, at the edge of the picture, where it is longest.
+    pixel: f64,
+}
+
+impl Proxies {
+    /// The rule for a view.
+    pub fn new(view: &View) -> Self {
+        // A pixel off the axis is seen from farther away than its distance along the axis; boxes'
+        // distances are measured to the eye, so the axis gives the larger length.
+        Proxies { eye: view.camera.eye, pixel: 1.0 / view.focal_px() }
+    }
+
+    /// The widened box of a node.
+    pub fn of<H: BoundingHierarchy>(&self, tree: &H, node: TreeNodeId) -> Aabb {
+        self.widened(&tree.bounds(node), tree.overhang_px(node))
+    }
+
+    /// A box widened so that it covers content that sticks out by `overhang_px` pixels.
+    pub fn widened(&self, bounds: &Aabb, overhang_px: f64) -> Aabb {
+        if bounds.is_empty() {
+            return *bounds;
+        }
+        let nearest = bounds.distance(self.eye);
+        let reach = (bounds.min - self.eye).abs().max((bounds.max - self.eye).abs());
+        let farthest = reach.length();
+        let near_px = 0.5 * self.pixel * nearest;
+        let far_px = (SNAPPING_PX + overhang_px) * self.pixel * farthest;
+        let by = near_px.max(far_px) + ROUNDING * reach.max_element();
+        Aabb::new(bounds.min - by, bounds.max + by)
+    }
+}
+
+/// Whether any corner of a box lies nearer than the near plane, so that drawing the box would lose
+/// its front.
+pub fn meets_near_plane(view: &View, bounds: &Aabb) -> bool {
+    let camera = &view.camera;
+    let center = (bounds.center() - camera.eye).dot(camera.forward);
+    let reach = camera.forward.abs().dot(0.5 * bounds.size());
+    // Written so that a box that is not a number counts as near.
+    !(center - reach >= camera.near * (1.0 + 1e-4))
+}

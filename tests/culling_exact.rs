@@ -1,0 +1,259 @@
+//! Protects the first promise of occlusion culling: the picture is that of drawing everything.
+//!
+//! Every algorithm runs over every made scene and camera path on the exact software device, with
+//! answers that come at once, late, and by submissions, and each frame's picture (item and depth of
+//! every pixel) is compared with the picture of everything.
+
+#[path = "support/culling.rs"]
+mod support;
+
+use esker::hierarchy::{BoundingHierarchy, TightCut};
+use esker::ids::{ObjectId, TreeNodeId};
+use esker::mesh::scenes::{CameraPath, SceneKind};
+use esker::sampling::Random;
+use esker::visibility::{
+    Algorithm, ChcOptions, ChcPlusOptions, Culler, CullingCosts, KeepRule, LateAnswers, Latency,
+    Order, SoftwareDevice,
+};
+use glam::DVec3;
+use support::{OwnedLeaves, Stage, Truth, sum};
+
+const SCENES: [(SceneKind, u32); 8] = [
+    (SceneKind::City, 2),
+    (SceneKind::Rooms, 3),
+    (SceneKind::Terrain, 2),
+    (SceneKind::Pipes, 2),
+    (SceneKind::Boxes, 150),
+    (SceneKind::Shells, 5),
+    (SceneKind::Window, 80),
+    (SceneKind::Plates, 8),
+];
+
+const LATENCIES: [Latency; 3] = [Latency::Commands(0), Latency::Commands(9), Latency::Rounds];
+
+fn algorithms() -> Vec<Algorithm> {
+    let chc = ChcOptions::default();
+    let plus = ChcPlusOptions::default();
+    let costs = CullingCosts::default();
+    vec![
+        Algorithm::Frustum,
+        Algorithm::Naive,
+        Algorithm::StopAndWait,
+        Algorithm::Chc(chc),
+        Algorithm::Chc(ChcOptions { seed_first_frame: false, ..chc }),
+        Algorithm::Chc(ChcOptions { geometry_queries: true, defer_verification: false, ..chc }),
+        Algorithm::Chc(ChcOptions { assume_visible_frames: 3, order: Order::DepthFirst, ..chc }),
+        Algorithm::Chc(ChcOptions { late: LateAnswers::Rounds(0), leaf_cost: 400, ..chc }),
+        Algorithm::ChcPlus(ChcPlusOptions { optimized: false, ..plus }),
+        Algorithm::ChcPlus(ChcPlusOptions { batch_size: 3, seed_first_frame: false, ..plus }),
+        Algorithm::ChcPlus(ChcPlusOptions { leaf_cost: 500, late: LateAnswers::Rounds(1), ..plus }),
+        Algorithm::NearOptimal(chc, costs),
+        Algorithm::Auto(plus, costs),
+    ]
+}
+
+#[test]
+fn every_algorithm_shows_what_is_there_on_every_scene_and_path() {
+    for (kind, size) in SCENES {
+        let stage = Stage::new(kind, size);
+        for path in CameraPath::ALL {
+            let views = stage.views(path, 6);
+            for (at, algorithm) in algorithms().into_iter().enumerate() {
+                // Each pair is tried with one latency; all meet over the scenes and paths.
+                let latency = LATENCIES[(at + path as usize + kind as usize) % 3];
+                stage.run_exact(algorithm, latency, &views);
+            }
+        }
+    }
+}
+
+/// All 32 combinations of the parts of CHC++.
+#[test]
+fn every_combination_of_parts_is_exact() {
+    for (kind, size) in [(SceneKind::City, 2), (SceneKind::Pipes, 2), (SceneKind::Window, 60)] {
+        let stage = Stage::new(kind, size);
+        for path in [CameraPath::Walk, CameraPath::Teleport] {
+            let views = stage.views(path, 5);
+            for parts in 0..32u32 {
+                let on = |part: u32| parts >> part & 1 == 1;
+                let options = ChcPlusOptions {
+                    batching: on(0),
+                    jitter: on(1),
+                    assumed_visible_frames: if on(1) { 3 } else { 1 },
+                    tight: on(2).then(TightCut::default),
+                    multiqueries: on(3),
+                    optimized: on(4),
+                    batch_size: 8,
+                    ..ChcPlusOptions::default()
+                };
+                let latency = LATENCIES[parts as usize % 3];
+                stage.run_exact(Algorithm::ChcPlus(options), latency, &views);
+            }
+        }
+    }
+}
+
+/// Answers that are left to the next frame lose what comes into sight: the counter-example.
+#[test]
+fn answers_a_frame_late_lose_pixels_on_a_turn() {
+    let stage = Stage::new(SceneKind::City, 3);
+    let views = stage.views(CameraPath::Rotate, 24);
+    let late = LateAnswers::NextFrame;
+    let chc = ChcOptions { late, seed_first_frame: false, ..ChcOptions::default() };
+    let plus = ChcPlusOptions { late, seed_first_frame: false, ..ChcPlusOptions::default() };
+    for algorithm in [Algorithm::Chc(chc), Algorithm::ChcPlus(plus)] {
+        let mut truth = Truth::default();
+        let (mut wrong_late, mut waits) = (0, 0);
+        stage.run(algorithm, Latency::Rounds, &views, |frame, counters, _, picture| {
+            if frame > 8 {
+                wrong_late += truth.wrong_pixels(&stage, &views[frame], picture);
+            }
+            waits += counters.blocking_waits;
+        });
+        assert!(wrong_late > 0, "nothing was lost");
+        assert_eq!(waits, 0);
+    }
+}
+
+/// Fewer rounds draw more and lose nothing.
+#[test]
+fn fewer_rounds_draw_more_and_lose_nothing() {
+    let stage = Stage::new(SceneKind::City, 3);
+    let views = stage.views(CameraPath::Rotate, 16);
+    let triangles = |rounds| {
+        let late = LateAnswers::Rounds(rounds);
+        let options = ChcOptions { late, seed_first_frame: false, ..ChcOptions::default() };
+        sum(&stage.run_exact(Algorithm::Chc(options), Latency::Rounds, &views)).triangles_drawn
+    };
+    let drawn: Vec<u64> = (0..=6).map(triangles).collect();
+    for pair in drawn.windows(2) {
+        assert!(pair[1] as f64 <= 1.02 * pair[0] as f64, "{drawn:?}");
+    }
+    assert!(drawn[6] < drawn[0], "{drawn:?}");
+}
+
+/// Eyes inside boxes and near planes through them, at any place and angle.
+#[test]
+fn eyes_inside_and_beside_boxes_lose_nothing() {
+    let stage = Stage::new(SceneKind::Boxes, 60);
+    let bounds = stage.scene.model.bounds();
+    let mut random = Random::new(4, 0);
+    let mut views = Vec::new();
+    for _ in 0..400 {
+        let unit = DVec3::new(random.unit(), random.unit(), random.unit());
+        let mut view = stage.views(CameraPath::Still, 1)[0];
+        view.camera.eye = bounds.min + unit * bounds.size();
+        let angle = random.between(0.0, 6.3);
+        let forward = DVec3::new(angle.cos(), angle.sin(), random.between(-1.0, 1.0)).normalize();
+        let near = 10f64.powf(random.between(-3.0, 0.5));
+        view.camera = esker::geometry::Camera::looking_at(
+            view.camera.eye,
+            view.camera.eye + forward,
+            DVec3::Z,
+            random.between(0.3, 2.6),
+            near,
+        );
+        views.push(view);
+    }
+    for algorithm in [
+        Algorithm::StopAndWait,
+        Algorithm::Chc(ChcOptions { seed_first_frame: false, ..ChcOptions::default() }),
+        Algorithm::ChcPlus(ChcPlusOptions { seed_first_frame: false, ..Default::default() }),
+    ] {
+        stage.run_exact(algorithm, Latency::Rounds, &views);
+    }
+}
+
+/// Odd sizes of the parts, and odd scenes.
+#[test]
+fn odd_settings_and_scenes_are_exact() {
+    let plus = ChcPlusOptions { seed_first_frame: false, ..ChcPlusOptions::default() };
+    let tight = TightCut::default();
+    let odd = [
+        ChcPlusOptions { batch_size: 1, ..plus },
+        ChcPlusOptions { batch_size: u32::MAX, ..plus },
+        ChcPlusOptions { batch_size: 0, assumed_visible_frames: 0, ..plus },
+        ChcPlusOptions { assumed_visible_frames: 1, ..plus },
+        ChcPlusOptions { tight: Some(TightCut { depth: 0, ..tight }), ..plus },
+        ChcPlusOptions { tight: Some(TightCut { growth: 1.0, ..tight }), ..plus },
+        ChcPlusOptions { tight: Some(TightCut { growth: f64::INFINITY, ..tight }), ..plus },
+        ChcPlusOptions { keep: KeepRule::Analytic, leaf_cost: u64::MAX, ..plus },
+    ];
+    for (kind, size) in [(SceneKind::City, 1), (SceneKind::Boxes, 1), (SceneKind::Shells, 1)] {
+        let stage = Stage::new(kind, size);
+        for options in odd {
+            for path in [CameraPath::Teleport, CameraPath::Walk] {
+                let views = stage.views(path, 8);
+                stage.run_exact(Algorithm::ChcPlus(options), Latency::Rounds, &views);
+            }
+        }
+    }
+    // The camera looks away from everything, and then at it.
+    let stage = Stage::new(SceneKind::Plates, 6);
+    let mut views = stage.views(CameraPath::Still, 6);
+    for view in &mut views[1..4] {
+        view.camera.forward = -view.camera.forward;
+    }
+    for algorithm in algorithms() {
+        let counters = stage.run_exact(algorithm, Latency::Rounds, &views);
+        assert_eq!(counters[2].leaves_drawn, 0);
+    }
+}
+
+/// Boxes that are not numbers are drawn in every frame; an empty scene draws nothing.
+#[test]
+fn unbounded_objects_and_empty_scenes() {
+    let mut stage = Stage::new(SceneKind::Boxes, 20);
+    let mut bounds = stage.scene.model.object_bounds();
+    bounds[3] = esker::geometry::Aabb::new(DVec3::NAN, DVec3::NAN);
+    stage.tree = esker::hierarchy::Bvh::build(&bounds, &vec![12; bounds.len()], 1);
+    let views = stage.views(CameraPath::Walk, 4);
+    for algorithm in algorithms() {
+        let leaf = stage.tree.always_drawn().next().expect("one object has no box");
+        stage.run(algorithm, Latency::Rounds, &views, |_, _, drawn, _| {
+            assert!(drawn.contains(&leaf), "{algorithm:?}");
+        });
+        stage.run_exact(algorithm, Latency::Rounds, &views);
+    }
+    stage.tree = esker::hierarchy::Bvh::default();
+    for algorithm in algorithms() {
+        stage.run(algorithm, Latency::Rounds, &views, |_, counters, drawn: &[TreeNodeId], _| {
+            assert!(drawn.is_empty() && counters.queries_issued == 0);
+        });
+    }
+}
+
+/// Objects that move: the tree is refitted before each frame.
+#[test]
+fn moving_objects_are_followed() {
+    for algorithm in algorithms() {
+        let mut stage = Stage::new(SceneKind::City, 2);
+        let views = stage.views(CameraPath::Walk, 10);
+        let mut culler = Culler::new(algorithm);
+        let mut device = SoftwareDevice::new(OwnedLeaves::of(&stage), &views[0], Latency::Rounds);
+        for (frame, view) in views.iter().enumerate() {
+            move_objects(&mut stage, frame as u64);
+            *device.drawables_mut() = OwnedLeaves::of(&stage);
+            culler.frame(&stage.tree, view, &mut device);
+            let wrong = Truth::default().wrong_pixels(&stage, view, device.picture());
+            assert_eq!(wrong, 0, "frame {frame}: {algorithm:?}");
+        }
+    }
+}
+
+/// Moves a tenth of the objects and refits the tree.
+fn move_objects(stage: &mut Stage, frame: u64) {
+    let mut random = Random::new(8, frame);
+    let objects = &mut stage.scene.model.objects;
+    let count = objects.len() as u64;
+    let mut moved = Vec::new();
+    for _ in 0..count / 10 {
+        let at = random.below(count) as usize;
+        let step = DVec3::new(random.bell(), random.bell(), 0.0) * 2.0;
+        objects[at].world_from_mesh.translation += step;
+        moved.push(ObjectId(at as u32));
+    }
+    let bounds = stage.scene.model.object_bounds();
+    let moved: Vec<_> = moved.into_iter().map(|id| (id, bounds[id.index()])).collect();
+    stage.tree.refit(&moved);
+}

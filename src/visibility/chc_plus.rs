@@ -22,7 +22,7 @@ use crate::sampling::Random;
 use crate::visibility::coherence::{CoherenceTable, KeepRule};
 use crate::visibility::frontier::Order;
 use crate::visibility::grouping::best_group;
-use crate::visibility::history::LONGEST_PERSISTENCE;
+use crate::visibility::history::{LONGEST_PERSISTENCE, NodeHistory};
 use crate::visibility::tight::TightBounds;
 use crate::visibility::walk::{LateAnswers, Reached, Walk};
 use crate::visibility::{Answer, QueryId};
@@ -42,12 +42,19 @@ pub struct ChcPlusOptions {
     pub jitter: bool,
     /// Frames between two tests of a visible leaf, at least 1. 5 to 10 are safe.
     pub assumed_visible_frames: u32,
+    /// Whether the frames between two tests grow with the tests that a leaf passed, from 1 to 4 up
+    /// to `assumed_visible_frames`: leaves that come and go are drawn less in vain, for more
+    /// questions.
+    pub growing_period: bool,
     /// Tight bounds; `None` asks with the node's own box.
     pub tight: Option<TightCut>,
     /// Fewer waits for somewhat more drawing: hidden nodes are asked about before visible leaves
     /// while waiting, visible leaves after the walk; nodes that come back into the frustum keep
     /// their classification.
     pub optimized: bool,
+    /// Whether an inner node whose box shows while nothing in it does is left open for some frames,
+    /// longer each time. Without it such a node turns visible and hidden in turns, a round each.
+    pub remember_splits: bool,
     /// See [`ChcOptions::threshold`](crate::visibility::ChcOptions::threshold); here it bounds a
     /// group's sum.
     pub threshold: u64,
@@ -71,8 +78,10 @@ impl Default for ChcPlusOptions {
             keep: KeepRule::Measured,
             jitter: true,
             assumed_visible_frames: 10,
+            growing_period: true,
             tight: Some(TightCut::default()),
             optimized: true,
+            remember_splits: true,
             threshold: 0,
             leaf_cost: 0,
             order: Order::Nearest,
@@ -91,8 +100,10 @@ impl ChcPlusOptions {
         keep: KeepRule::Measured,
         jitter: false,
         assumed_visible_frames: 1,
+        growing_period: false,
         tight: None,
         optimized: false,
+        remember_splits: false,
         threshold: 0,
         leaf_cost: 0,
         order: Order::Nearest,
@@ -121,6 +132,10 @@ impl Record {
     }
 }
 
+/// Frames for which a split node is left open, at first; doubled up to `MOST_SPLITS` times.
+const SPLIT_FRAMES: u32 = 8;
+const MOST_SPLITS: u8 = 6;
+
 /// Frames over which failed groups are counted, and for which groups are then given up.
 const FAILURE_FRAMES: usize = 8;
 
@@ -147,6 +162,8 @@ pub(super) struct ChcPlus {
     failures: [(u32, u32); FAILURE_FRAMES],
     /// No groups before this frame.
     singles_until: u32,
+    /// Whether leaves are drawn at once, as CHC does.
+    draws_at_once: bool,
 }
 
 impl ChcPlus {
@@ -174,6 +191,7 @@ impl ChcPlus {
     ) {
         let seed = seed && options.seed_first_frame;
         walk.inherit_on_reentry = options.optimized;
+        self.draws_at_once = !options.batching;
         if let Some(limits) = options.tight {
             self.tight.prepare(walk.tree, limits);
         }
@@ -275,6 +293,11 @@ impl ChcPlus {
             Reached::Inside { was_visible } => was_visible || seed,
         };
         if !was_visible {
+            if options.remember_splits && self.is_split(walk, node) {
+                self.opened.push(node);
+                self.open(walk, node);
+                return;
+            }
             self.hidden.push(node);
             let most = if options.batching { options.batch_size.max(1) as usize } else { 1 };
             if self.hidden.len() >= most {
@@ -299,6 +322,25 @@ impl ChcPlus {
         self.open(walk, node);
     }
 
+    /// Whether a hidden inner node is to be left open, its children asked about instead.
+    fn is_split<H: BoundingHierarchy>(&self, walk: &mut Walk<H>, node: TreeNodeId) -> bool {
+        let NodeHistory { split_until, splits, .. } = *walk.history.node(node);
+        splits > 0 && !walk.history.is_due(split_until) && !walk.is_leaf(node)
+    }
+
+    /// Judges an inner node that was opened in the last frame.
+    fn count_split<H: BoundingHierarchy>(&self, walk: &mut Walk<H>, node: TreeNodeId) {
+        let frame = walk.history.frame();
+        let history = walk.history.node(node);
+        if history.visible {
+            history.splits = 0;
+        } else if frame.wrapping_sub(history.opened_at) <= 2 {
+            // Its box showed a frame ago, and nothing in it did.
+            history.splits = (history.splits + 1).min(MOST_SPLITS);
+            history.split_until = frame.wrapping_add(SPLIT_FRAMES << (history.splits - 1));
+        }
+    }
+
     fn open<H: BoundingHierarchy>(&mut self, walk: &mut Walk<H>, node: TreeNodeId) {
         if walk.is_leaf(node) {
             self.draw_later(walk, node);
@@ -308,7 +350,9 @@ impl ChcPlus {
     }
 
     fn draw_later<H: BoundingHierarchy>(&mut self, walk: &mut Walk<H>, leaf: TreeNodeId) {
-        if walk.count_draw(leaf) {
+        if self.draws_at_once {
+            walk.draw(leaf);
+        } else if walk.count_draw(leaf) {
             self.draws.push(leaf);
         }
     }
@@ -427,6 +471,7 @@ impl ChcPlus {
                     if seen {
                         walk.counters.pulled_down += 1;
                         walk.pull_up(node);
+                        walk.history.node(node).opened_at = walk.history.frame();
                         self.schedule(walk, node, options, true);
                         self.open(walk, node);
                     }
@@ -462,8 +507,12 @@ impl ChcPlus {
         let period = options.assumed_visible_frames.max(1);
         let history = walk.history.node(leaf);
         let tested = history.last_visited;
-        let wait = if turned_visible && options.jitter && period > 1 {
-            let mut random = Random::new(u64::from(leaf.0), u64::from(tested));
+        let mut random = Random::new(u64::from(leaf.0), u64::from(tested));
+        let grown = 4u32 << history.persistence.min(28);
+        let wait = if options.growing_period && grown < period {
+            // Random at each step, so that leaves that appeared together part.
+            1 + random.below(u64::from(grown)) as u32
+        } else if turned_visible && options.jitter && period > 1 {
             1 + random.below(u64::from(period - 1)) as u32
         } else {
             period
@@ -499,9 +548,12 @@ impl ChcPlus {
                 }
             }
         }
-        for node in self.opened.drain(..) {
-            let node = walk.history.node(node);
-            walk.counters.pulled_up += u64::from(!node.visible && node.last_visited == last);
+        for node in std::mem::take(&mut self.opened) {
+            let history = walk.history.node(node);
+            if history.last_visited == last {
+                walk.counters.pulled_up += u64::from(!history.visible);
+                self.count_split(walk, node);
+            }
         }
         self.members.clear();
         self.hidden.clear();

@@ -10,7 +10,7 @@ use crate::ids::TreeNodeId;
 /// The longest time that a classification is counted.
 pub(super) const LONGEST_PERSISTENCE: u16 = 64;
 
-/// One node's memory, 20 bytes.
+/// One node's memory, 28 bytes.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct NodeHistory {
     /// Frame in which the traversal reached the node; 0: never.
@@ -23,6 +23,12 @@ pub(super) struct NodeHistory {
     pub last_outside: u32,
     /// Tests in a row that kept the present classification.
     pub persistence: u16,
+    /// Inner nodes: frame in which the box was last found visible after being hidden; 0: never.
+    pub opened_at: u32,
+    /// Inner nodes: up to this frame the node is not asked about as a whole; see `splits`.
+    pub split_until: u32,
+    /// How often in a row the box was visible and nothing in it.
+    pub splits: u8,
     pub visible: bool,
     /// Whether the node came back into the frustum in the frame `last_visited`.
     pub reentered: bool,

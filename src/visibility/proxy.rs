@@ -57,6 +57,7 @@ pub fn meets_near_plane(view: &View, bounds: &Aabb) -> bool {
     let camera = &view.camera;
     let center = (bounds.center() - camera.eye).dot(camera.forward);
     let reach = camera.forward.abs().dot(0.5 * bounds.size());
-    // Written so that a box that is not a number counts as near.
-    !(center - reach >= camera.near * (1.0 + 1e-4))
+    let nearest = center - reach;
+    // A box that is not a number can't be asked about.
+    nearest.is_nan() || nearest < camera.near * (1.0 + 1e-4)
 }

@@ -49,6 +49,9 @@ pub enum Latency {
     /// When waited for; all that was recorded before is then known too: a GPU that works by
     /// submissions.
     Rounds,
+    /// As `Rounds`, and each submission draws everything before it answers: questions see a fuller
+    /// depth buffer, and drawing and asking change twice a submission.
+    Batches,
 }
 
 /// Draws on the CPU and counts exactly.
@@ -59,6 +62,8 @@ pub struct SoftwareDevice<D> {
     commands: u64,
     /// Of the last frame and this one, the oldest first: samples, and the command's number.
     answers: VecDeque<(u64, u64)>,
+    /// Questions of the present submission that wait for its draws, by number.
+    waiting: Vec<(u64, Vec<Aabb>)>,
     /// Number of the first question in `answers`.
     first: u64,
     /// Number of the first question of this frame.
@@ -83,6 +88,7 @@ impl<D: Drawables> SoftwareDevice<D> {
             latency,
             commands: 0,
             answers: VecDeque::new(),
+            waiting: Vec::new(),
             first: 0,
             first_of_frame: 0,
             waited: 0,
@@ -112,6 +118,14 @@ impl<D: Drawables> SoftwareDevice<D> {
     fn command(&mut self, asking: bool) {
         self.commands += 1;
         self.recorded = true;
+        if self.latency == Latency::Batches && asking {
+            // Counted when the submission gets to its questions.
+            return;
+        }
+        self.switch(asking);
+    }
+
+    fn switch(&mut self, asking: bool) {
         if self.asking.is_some_and(|before| before != asking) {
             self.state_switches += 1;
         }
@@ -124,9 +138,18 @@ impl<D: Drawables> SoftwareDevice<D> {
     }
 
     fn submit(&mut self) {
-        if self.recorded {
-            self.rounds += 1;
-            self.recorded = false;
+        if !self.recorded {
+            return;
+        }
+        self.rounds += 1;
+        self.recorded = false;
+        let waiting = std::mem::take(&mut self.waiting);
+        if !waiting.is_empty() {
+            self.switch(true);
+        }
+        for (query, boxes) in waiting {
+            let samples = boxes.iter().map(|bounds| self.picture.count_box(bounds)).sum();
+            self.answers[(query - self.first) as usize].0 = samples;
         }
     }
 }
@@ -154,6 +177,11 @@ impl<D: Drawables> OcclusionDevice for SoftwareDevice<D> {
 
     fn query(&mut self, boxes: &[Aabb]) -> QueryId {
         self.command(true);
+        if self.latency == Latency::Batches {
+            let query = self.answered(0);
+            self.waiting.push((query.0, boxes.to_vec()));
+            return query;
+        }
         let samples = boxes.iter().map(|bounds| self.picture.count_box(bounds)).sum();
         self.answered(samples)
     }
@@ -169,7 +197,7 @@ impl<D: Drawables> OcclusionDevice for SoftwareDevice<D> {
         let (samples, command) = self.answers[(query.0 - self.first) as usize];
         let known = match self.latency {
             Latency::Commands(delay) => self.commands >= command + delay,
-            Latency::Rounds => false,
+            Latency::Rounds | Latency::Batches => false,
         };
         if known || command <= self.waited { Answer::Samples(samples) } else { Answer::Unknown }
     }
@@ -179,7 +207,7 @@ impl<D: Drawables> OcclusionDevice for SoftwareDevice<D> {
         let (_, command) = self.answers[(query.0 - self.first) as usize];
         self.waited = match self.latency {
             Latency::Commands(_) => self.waited.max(command),
-            Latency::Rounds => self.commands,
+            Latency::Rounds | Latency::Batches => self.commands,
         };
     }
 

@@ -33,6 +33,16 @@ impl Stage {
         camera_path(&self.scene, path, frames).into_iter().map(view).collect()
     }
 
+    /// Frames in a row from the middle of a walk, `step` metres apart. 0.1 m is 6 m/s at 60 frames a
+    /// second.
+    #[allow(dead_code)] // One of the two test files that share this needs it.
+    pub fn steady_walk(&self, frames: u32, step: f64) -> Vec<View> {
+        let length: f64 = self.scene.walk.windows(2).map(|pair| pair[0].distance(pair[1])).sum();
+        let all = ((length / step) as u32).max(frames);
+        let first = (all - frames) as usize / 2;
+        self.views(CameraPath::Walk, all)[first..first + frames as usize].to_vec()
+    }
+
     /// Runs an algorithm along views; `each` sees every frame's counters, leaves and picture.
     pub fn run(
         &self,
@@ -42,24 +52,6 @@ impl Stage {
         each: impl FnMut(usize, &CullCounters, &[TreeNodeId], &ItemBuffer),
     ) -> Vec<CullCounters> {
         run(&self.tree, self.leaves(), algorithm, latency, views, each)
-    }
-
-    /// Runs an algorithm and demands the picture of everything in every frame.
-    pub fn run_exact(
-        &self,
-        algorithm: Algorithm,
-        latency: Latency,
-        views: &[View],
-    ) -> Vec<CullCounters> {
-        let mut truth = Truth::default();
-        self.run(algorithm, latency, views, |frame, _, _, picture| {
-            let wrong = truth.wrong_pixels(self, &views[frame], picture);
-            assert_eq!(wrong, 0, "{}: frame {frame}: {algorithm:?}, {latency:?}", self.name());
-        })
-    }
-
-    fn name(&self) -> String {
-        format!("{} objects", self.scene.model.objects.len())
     }
 }
 
@@ -91,48 +83,6 @@ pub fn run<H: BoundingHierarchy, D: Drawables>(
         all.push(counters);
     }
     all
-}
-
-/// Pictures of everything, kept while the view stays.
-#[derive(Default)]
-pub struct Truth {
-    last: Option<(View, ItemBuffer)>,
-}
-
-impl Truth {
-    pub fn picture(&mut self, stage: &Stage, view: &View) -> &ItemBuffer {
-        if self.last.as_ref().is_none_or(|(last, _)| last != view) {
-            let mut picture = ItemBuffer::new(view);
-            let root = stage.tree.root().into_iter().chain(stage.tree.always_drawn());
-            for node in root {
-                stage.leaves().draw(node, &mut picture);
-            }
-            self.last = Some((*view, picture));
-        }
-        &self.last.as_ref().expect("it was just drawn").1
-    }
-
-    pub fn wrong_pixels(&mut self, stage: &Stage, view: &View, picture: &ItemBuffer) -> u64 {
-        self.picture(stage, view).differing_pixels(picture)
-    }
-}
-
-/// Leaves that own what they draw, so that it may change between frames.
-pub struct OwnedLeaves {
-    model: Model,
-    tree: Bvh,
-}
-
-impl OwnedLeaves {
-    pub fn of(stage: &Stage) -> Self {
-        OwnedLeaves { model: stage.scene.model.clone(), tree: stage.tree.clone() }
-    }
-}
-
-impl Drawables for OwnedLeaves {
-    fn draw(&self, node: TreeNodeId, target: &mut ItemBuffer) -> u64 {
-        ModelLeaves { model: &self.model, tree: &self.tree }.draw(node, target)
-    }
 }
 
 /// Sums of counters.

@@ -138,7 +138,7 @@ pub(super) fn pipes(size: u32, seed: u64) -> ModelScene {
                 let scale = DVec3::splat(1.9 * radius);
                 maker.place(valve, metal, placed(scale, random.between(0.0, 3.0), middle));
             }
-            if number % 3 == 0 {
+            if number.is_multiple_of(3) {
                 let size = DVec3::new(4.0 * radius, 0.1, 1.1);
                 maker.place(plate, metal, placed(size, 0.7, middle - DVec3::Z * 0.8));
             }
@@ -146,7 +146,7 @@ pub(super) fn pipes(size: u32, seed: u64) -> ModelScene {
             at = end;
             axis = (axis + 1 + random.below(2) as usize) % 3;
         }
-        if run % 4 == 0 {
+        if run.is_multiple_of(4) {
             let at = DVec3::new(random.unit(), random.unit(), random.unit()) * hall;
             let size = DVec3::new(1.5, 1.5, 4.0) * random.between(0.6, 1.4);
             maker.place(pipe, metals[2], placed(size, 0.0, at));

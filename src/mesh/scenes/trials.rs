@@ -70,8 +70,8 @@ pub(super) fn window(size: u32, seed: u64) -> ModelScene {
 /// `size` by `size` plates across the view, each with a block right behind it.
 pub(super) fn plates(size: u32) -> ModelScene {
     let mut maker = Maker::default();
-    let plate = maker.mesh(block(DVec3::new(0.8, 0.05, 0.8)));
-    let hidden = maker.mesh(block(DVec3::new(0.4, 0.1, 0.4)));
+    let plate = maker.mesh(block(DVec3::new(1.0, 0.05, 1.0)));
+    let hidden = maker.mesh(block(DVec3::new(0.3, 0.1, 0.3)));
     let [front, back] = [[120, 160, 200], [220, 40, 40]].map(|color| maker.material(color));
     for row in 0..size {
         for column in 0..size {

@@ -58,3 +58,27 @@ struct GpuDispatch {
     y: u32,
     z: u32,
 }
+
+struct GpuMeshObject {
+    screen_from_mesh_x: vec4<f32>,
+    screen_from_mesh_y: vec4<f32>,
+    screen_from_mesh_z: vec4<f32>,
+    eye_high: vec3<f32>,
+    material: u32,
+    eye_low: vec3<f32>,
+    padding_0: u32,
+    normal_x: vec4<f32>,
+    normal_y: vec4<f32>,
+    normal_z: vec4<f32>,
+}
+
+struct GpuMaterial {
+    color: u32,
+    alpha_cutoff: f32,
+    texture_at: u32,
+    texture_width: u32,
+    texture_height: u32,
+    texture_levels: u32,
+    padding_0: u32,
+    padding_1: u32,
+}

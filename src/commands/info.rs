@@ -7,21 +7,24 @@ use clap::Args;
 use serde_json::{Value, json};
 
 use crate::commands::convert::parse_columns;
+use crate::commands::models::{self, ModelArgs};
 use crate::commands::quantities::show_bytes;
-use crate::input::{CoordinateKind, ForeignFacts, ReadOptions, Scan, ScanPart};
+use crate::input::{CoordinateKind, ForeignFacts, ReadOptions, Scan, ScanPart, detect_model};
 use crate::store::Store;
 pub use crate::store::is_store;
 
 /// Arguments of `esker info`.
 #[derive(Debug, Args)]
 pub struct InfoArgs {
-    /// Stores or scans
+    /// Stores, scans or models
     #[arg(required = true)]
     files: Vec<PathBuf>,
     /// Columns of text files: names separated by commas, `skip` for one to leave out
     /// [default: those of the header, or guessed]
     #[arg(long, value_name = "x,y,z,...", value_parser = parse_columns)]
     columns: Option<String>,
+    #[command(flatten)]
+    models: ModelArgs,
     /// Print one JSON object per file
     #[arg(long)]
     json: bool,
@@ -31,7 +34,13 @@ pub struct InfoArgs {
 pub fn run(args: InfoArgs) -> anyhow::Result<ExitCode> {
     let read = ReadOptions { columns: args.columns, ..ReadOptions::default() };
     for path in &args.files {
-        let facts = if is_store(path) { store_facts(path)? } else { scan_facts(path, &read)? };
+        let facts = if is_store(path) {
+            store_facts(path)?
+        } else if detect_model(path).is_some() {
+            models::facts(path, &args.models.options())?
+        } else {
+            scan_facts(path, &read)?
+        };
         if args.json {
             println!("{facts}");
         } else {

@@ -27,6 +27,7 @@ mod export;
 mod generate;
 mod info;
 mod inputs;
+mod models;
 mod output;
 mod picture_options;
 mod progress;

@@ -19,6 +19,7 @@ use crate::build::{self, ConvertOptions};
 use crate::commands::convert::cancelled_by_signal;
 use crate::commands::info::is_store;
 use crate::commands::inputs;
+use crate::commands::models::{self, ModelArgs};
 use crate::commands::picture_options::{PictureOptions, parse_in_range};
 use crate::commands::progress::{ProgressKind, listener};
 use crate::commands::quantities::{parse_count, parse_picture_size, show_bytes};
@@ -26,6 +27,7 @@ use crate::frame::{ColorMode, FrameError, FrameSettings, NodeSource, Renderer};
 use crate::geometry::{Aabb, Camera, View, ViewPreset};
 #[cfg(feature = "gpu")]
 use crate::gpu::Gpu;
+use crate::mesh::Model;
 use crate::metrics::peak_rss_bytes;
 use crate::passes::Picture;
 use crate::select::LevelRule;
@@ -34,7 +36,8 @@ use crate::store::Store;
 /// Arguments of `esker render`.
 #[derive(Debug, Args)]
 pub struct RenderArgs {
-    /// Stores and scans; scans are converted to a temporary store first
+    /// Models (glTF, GLB, OBJ, STL, PLY with faces), stores and scans, in one picture; scans are
+    /// converted to a temporary store first
     #[arg(required = true)]
     files: Vec<PathBuf>,
     /// The picture to write; a camera path gives OUT-0000.png, OUT-0001.png, ...
@@ -69,6 +72,8 @@ pub struct RenderArgs {
     renderer: RendererChoice,
     #[command(flatten)]
     picture: PictureOptions,
+    #[command(flatten)]
+    models: ModelArgs,
     /// Colour of pixels without a point: #rrggbb, black, white or none (transparent)
     #[arg(long, default_value = "#1a1c20", value_parser = parse_background)]
     background: u32,
@@ -124,11 +129,13 @@ enum RuleChoice {
 /// Runs the command.
 pub fn run(args: RenderArgs) -> anyhow::Result<ExitCode> {
     check_folder(&args.output)?;
-    let (sources, _temporary) = open_sources(&args)?;
+    let (meshes, points) = models::split(inputs::expand(&args.files)?);
+    let model = Arc::new(models::load(&meshes, &args.models.options())?);
+    let (sources, _temporary) = open_sources(&args, points)?;
     let settings = frame_settings(&args, &sources)?;
-    let bounds = sources.iter().fold(Aabb::EMPTY, |all, source| all.union(&source.bounds()));
+    let bounds = sources.iter().fold(model.bounds(), |all, source| all.union(&source.bounds()));
     let (cameras, is_path) = cameras(&args, &bounds)?;
-    let mut drawing = Drawing::new(&args, sources)?;
+    let mut drawing = Drawing::new(&args, sources, model)?;
     let mut frames = Vec::new();
     for (index, camera) in cameras.into_iter().enumerate() {
         let output = if is_path { numbered(&args.output, index) } else { args.output.clone() };
@@ -136,8 +143,14 @@ pub fn run(args: RenderArgs) -> anyhow::Result<ExitCode> {
         let picture = drawing.picture(&view, &settings)?;
         write_png(&output, &picture)?;
         let stats = drawing.renderer.stats();
+        let meshes = match drawing.model.is_empty() {
+            true => String::new(),
+            false => {
+                format!("{} triangles in {} objects, ", stats.triangles_drawn, stats.objects_drawn)
+            }
+        };
         println!(
-            "{}: {}x{}, {} points in {} nodes, {:.1} ms ({}, {} read)",
+            "{}: {}x{}, {meshes}{} points in {} nodes, {:.1} ms ({}, {} read)",
             output.display(),
             view.width_px,
             view.height_px,
@@ -166,19 +179,25 @@ pub fn run(args: RenderArgs) -> anyhow::Result<ExitCode> {
 struct Drawing {
     renderer: Renderer,
     sources: Vec<Arc<dyn NodeSource>>,
+    model: Arc<Model>,
     adapter: Option<String>,
     limit_bytes: u64,
     may_change: bool,
 }
 
 impl Drawing {
-    fn new(args: &RenderArgs, sources: Vec<Arc<dyn NodeSource>>) -> anyhow::Result<Self> {
+    fn new(
+        args: &RenderArgs,
+        sources: Vec<Arc<dyn NodeSource>>,
+        model: Arc<Model>,
+    ) -> anyhow::Result<Self> {
         // Whole nodes are held for the prefixes that the budget counts.
         let limit_bytes = args.budget.saturating_mul(32).max(1 << 30);
         let (mut renderer, adapter) = open_renderer(args.renderer, limit_bytes)?;
         renderer.set_scene(sources.clone());
+        renderer.set_model(model.clone());
         let may_change = args.renderer == RendererChoice::Auto;
-        Ok(Drawing { renderer, sources, adapter, limit_bytes, may_change })
+        Ok(Drawing { renderer, sources, model, adapter, limit_bytes, may_change })
     }
 
     fn picture(&mut self, view: &View, settings: &FrameSettings) -> anyhow::Result<Picture> {
@@ -189,6 +208,7 @@ impl Drawing {
                 self.adapter = None;
                 self.renderer = Renderer::on_cpu(self.limit_bytes);
                 self.renderer.set_scene(self.sources.clone());
+                self.renderer.set_model(self.model.clone());
                 Ok(self.renderer.render_picture(view, settings)?)
             }
             other => Ok(other?),
@@ -238,8 +258,7 @@ pub(super) fn open_renderer(
 /// The sources, and the folder that holds temporary ones until it is dropped.
 type Opened = (Vec<Arc<dyn NodeSource>>, Option<tempfile::TempDir>);
 
-fn open_sources(args: &RenderArgs) -> anyhow::Result<Opened> {
-    let files = inputs::expand(&args.files)?;
+fn open_sources(args: &RenderArgs, files: Vec<PathBuf>) -> anyhow::Result<Opened> {
     let (stores, scans): (Vec<_>, Vec<_>) = files.into_iter().partition(|path| is_store(path));
     let mut sources: Vec<Arc<dyn NodeSource>> = Vec::new();
     for path in &stores {
@@ -471,6 +490,8 @@ fn write_stats(
         "size_mode": settings.cut.splat.size.name(),
         "point_shape": settings.cut.splat.shape.name(),
         "points": drawing.sources.iter().map(|s| s.octree().point_count()).sum::<u64>(),
+        "triangles": drawing.model.triangle_count(),
+        "objects": drawing.model.objects.len(),
         "peak_rss_bytes": peak_rss_bytes(),
     });
     let object = stats.as_object_mut().expect("it was written as an object");

@@ -10,15 +10,22 @@ use crate::geometry::View;
 #[cfg(feature = "gpu")]
 use crate::gpu::{Gpu, GpuError, PassTimer, WordArena};
 #[cfg(feature = "gpu")]
+use crate::ids::ObjectId;
+#[cfg(feature = "gpu")]
+use crate::mesh::Model;
+#[cfg(feature = "gpu")]
 use crate::passes::{
-    DrawCounts, DrawTable, Finish, PointDrawing, PointsCompute, PointsRaster, Targets,
+    DrawCounts, DrawOrder, DrawTable, Finish, MeshCounts, MeshOutput, Meshes, PointDrawing,
+    PointsCompute, PointsRaster, Targets,
 };
-use crate::passes::{Picture, PointsCpu};
+use crate::passes::{MeshesCpu, Picture, PointsCpu};
 
 /// Where points are drawn.
 pub(super) enum Device {
     Cpu {
         pass: PointsCpu,
+        /// Only while there are models.
+        meshes: Option<Box<MeshesCpu>>,
         picture: Option<Picture>,
     },
     #[cfg(feature = "gpu")]
@@ -33,6 +40,8 @@ pub(super) struct OnGpu {
     pub(super) timer: PassTimer,
     pub(super) targets: Option<Targets>,
     pub(super) finish: Finish,
+    /// Only while there are models.
+    pub(super) meshes: Option<Box<Meshes>>,
     /// Whether the last frame wrote depth.
     pub(super) has_depth: bool,
 }
@@ -43,6 +52,16 @@ pub(super) enum GpuPass {
     Compute(Box<PointsCompute>),
     Raster(PointsRaster),
 }
+
+/// The objects of models that a frame shows.
+#[cfg(feature = "gpu")]
+#[derive(Clone, Copy)]
+pub(super) struct ModelDrawing<'a> {
+    pub(super) model: &'a Model,
+    pub(super) visible: &'a [ObjectId],
+    pub(super) view: &'a View,
+}
+
 #[cfg(feature = "gpu")]
 impl OnGpu {
     pub(super) fn draw(
@@ -51,7 +70,8 @@ impl OnGpu {
         table: &DrawTable,
         arena: &WordArena,
         settings: &FrameSettings,
-    ) -> Result<DrawCounts, GpuError> {
+        models: Option<ModelDrawing>,
+    ) -> Result<(DrawCounts, MeshCounts), GpuError> {
         let [width_px, height_px] = frame.target_px;
         if !self.targets.as_ref().is_some_and(|targets| targets.fits(width_px, height_px)) {
             self.targets = None;
@@ -60,8 +80,15 @@ impl OnGpu {
         let targets = self.targets.as_ref().expect("they were just made");
         self.timer.begin_frame();
         let gpu = self.gpu.clone();
+        let models = models.filter(|models| !models.visible.is_empty());
+        if let Some(models) = models
+            && self.meshes.is_none()
+        {
+            self.meshes = Some(Box::new(Meshes::new(&gpu, models.model)?));
+        }
+        let meshes = &mut self.meshes;
         let (pass, timer, finish) = (&mut self.pass, &mut self.timer, &mut self.finish);
-        let wants_depth = settings.depth || !settings.finish.is_nothing();
+        let wants_depth = settings.depth || !settings.finish.is_nothing() || models.is_some();
         self.has_depth = wants_depth || matches!(pass, GpuPass::Raster(_));
         let splat_drawing = settings.cut.splat.drawing;
         let drawing = PointDrawing { frame, table, arena, targets, splat_drawing, wants_depth };
@@ -72,14 +99,25 @@ impl OnGpu {
                 GpuPass::Raster(pass) => pass.draw(&gpu, &mut encoder, timer, &drawing),
             }?;
             let finishing = finish.draw(&gpu, &mut encoder, timer, &settings.finish, targets)?;
+            let mut mesh_counts = MeshCounts::default();
+            let mut mesh_bytes = 0;
+            if let (Some(models), Some(meshes)) = (models, meshes) {
+                meshes.begin(&gpu, models.view, frame)?;
+                let list = meshes.list(&gpu, models.visible, DrawOrder::Grouped)?;
+                let (colors, depths) = finish.finished(targets);
+                let mut pass = begin_over(&mut encoder, timer, colors, depths);
+                mesh_counts = meshes.record(&gpu, &mut pass, &list, MeshOutput::COLOR)?;
+                mesh_bytes = meshes.take_uploaded_bytes();
+            }
             timer.end_frame(&mut encoder);
             gpu.queue().submit([encoder.finish()]);
             timer.after_submit();
-            Ok(DrawCounts {
+            let counts = DrawCounts {
                 dispatches: counts.dispatches + finishing.dispatches,
-                draw_calls: counts.draw_calls + finishing.draw_calls,
-                uploaded_bytes: counts.uploaded_bytes + finishing.uploaded_bytes,
-            })
+                draw_calls: counts.draw_calls + finishing.draw_calls + mesh_counts.draw_calls,
+                uploaded_bytes: counts.uploaded_bytes + finishing.uploaded_bytes + mesh_bytes,
+            };
+            Ok((counts, mesh_counts))
         })?
     }
 
@@ -104,9 +142,15 @@ impl OnGpu {
     ) -> Result<Vec<f32>, GpuError> {
         let Some(targets) = &self.targets else { return Ok(Vec::new()) };
         match &self.pass {
-            GpuPass::Compute(pass) => pass.distances_of_rows(&self.gpu, rows),
-            GpuPass::Raster(_) => {
-                let distances = targets.read_distances(&self.gpu, view.camera.near as f32)?;
+            GpuPass::Compute(pass) if self.meshes.is_none() => {
+                pass.distances_of_rows(&self.gpu, rows)
+            }
+            _ => {
+                let depths = match &self.meshes {
+                    Some(_) => self.finish.finished(targets).1,
+                    None => targets,
+                };
+                let distances = depths.read_distances(&self.gpu, view.camera.near as f32)?;
                 let width = view.width_px as usize;
                 Ok(distances[rows.start as usize * width..rows.end as usize * width].to_vec())
             }
@@ -123,7 +167,7 @@ impl OnGpu {
         let Some((colors, depths)) = self.finished() else { return Ok(None) };
         let (width, height) = depths.size_px();
         let mut distances = match &self.pass {
-            GpuPass::Compute(pass) if !self.finish.fills_gaps() => {
+            GpuPass::Compute(pass) if !self.finish.fills_gaps() && self.meshes.is_none() => {
                 pass.distances_of_rows(&self.gpu, 0..height)?
             }
             _ => depths.read_distances(&self.gpu, near)?,
@@ -132,4 +176,32 @@ impl OnGpu {
         distances.resize(width as usize * height as usize, f32::INFINITY);
         Ok(Some(Picture { distances, ..colors.read_colors(&self.gpu)? }))
     }
+}
+
+/// A pass that draws over a picture that is there.
+#[cfg(feature = "gpu")]
+fn begin_over<'a>(
+    encoder: &'a mut wgpu::CommandEncoder,
+    timer: &mut PassTimer,
+    colors: &Targets,
+    depths: &Targets,
+) -> wgpu::RenderPass<'a> {
+    let color = wgpu::RenderPassColorAttachment {
+        view: colors.color_view(),
+        depth_slice: None,
+        resolve_target: None,
+        ops: wgpu::Operations { load: wgpu::LoadOp::Load, store: wgpu::StoreOp::Store },
+    };
+    let depth = depths.depth_view().map(|view| wgpu::RenderPassDepthStencilAttachment {
+        view,
+        depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Load, store: wgpu::StoreOp::Store }),
+        stencil_ops: None,
+    });
+    encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+        label: Some("meshes"),
+        color_attachments: &[Some(color)],
+        depth_stencil_attachment: depth,
+        timestamp_writes: timer.render_pass("meshes"),
+        ..Default::default()
+    })
 }

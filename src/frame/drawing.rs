@@ -4,13 +4,15 @@ use std::time::Instant;
 
 use crate::frame::device::Device;
 #[cfg(feature = "gpu")]
+use crate::frame::device::ModelDrawing;
+#[cfg(feature = "gpu")]
 use crate::frame::node_cache::Storage;
 use crate::frame::node_cache::Words;
 use crate::frame::renderer::milliseconds;
 use crate::frame::{FrameError, FrameSettings, Renderer};
 use crate::geometry::View;
 use crate::ids::NodeId;
-use crate::passes::{CloudDraw, NodePlace, NodeWords, Picture, Tile, finish};
+use crate::passes::{CloudDraw, MeshesCpu, NodePlace, NodeWords, Picture, Tile, finish};
 use crate::select::{Cut, SplatSettings, SplatSize};
 use crate::stream::SceneNode;
 
@@ -93,10 +95,10 @@ impl Renderer {
         settings: &FrameSettings,
     ) -> Result<(), FrameError> {
         let start = Instant::now();
-        let mut cpu_times = [("points", 0.0); 2];
+        let mut cpu_times = [("points", 0.0); 3];
         let frame = tile.gpu_frame(view, &self.splat_settings(settings), settings.background);
         match &mut self.device {
-            Device::Cpu { pass, picture } => {
+            Device::Cpu { pass, meshes, picture } => {
                 let mut words =
                     vec![NodeWords { positions: &[], colors: &[] }; self.table.nodes.len()];
                 for draw in &self.table.draws {
@@ -119,7 +121,22 @@ impl Renderer {
                     let mut drawn = pass.resolve(&frame);
                     finish(&mut drawn, frame.near, &settings.finish);
                     *picture = Some(drawn);
-                    cpu_times = [("points", points_ms), ("resolve", milliseconds(resolving))];
+                    cpu_times[..2].copy_from_slice(&[
+                        ("points", points_ms),
+                        ("resolve", milliseconds(resolving)),
+                    ]);
+                }
+                if let Some(models) = &self.models
+                    && !models.visible.is_empty()
+                {
+                    let started = Instant::now();
+                    let meshes = meshes
+                        .get_or_insert_with(|| Box::new(MeshesCpu::new(models.model.clone())));
+                    let drawn = picture.as_mut().expect("it was just drawn");
+                    let counts = meshes.draw(view, &frame, &models.visible, drawn);
+                    self.stats.objects_drawn += counts.objects;
+                    self.stats.triangles_drawn += counts.triangles;
+                    cpu_times[2] = ("meshes", milliseconds(started));
                 }
             }
             #[cfg(feature = "gpu")]
@@ -127,7 +144,14 @@ impl Renderer {
                 let Storage::Device(arena) = self.cache.storage() else {
                     unreachable!("a renderer on a device stores there")
                 };
-                let counts = on_gpu.draw(&frame, &self.table, arena, settings)?;
+                let models = self.models.as_ref().map(|models| ModelDrawing {
+                    model: &models.model,
+                    visible: &models.visible,
+                    view,
+                });
+                let (counts, meshes) = on_gpu.draw(&frame, &self.table, arena, settings, models)?;
+                self.stats.objects_drawn += meshes.objects;
+                self.stats.triangles_drawn += meshes.triangles;
                 self.stats.draw_calls += counts.draw_calls;
                 self.stats.dispatches += counts.dispatches;
                 self.stats.bytes_uploaded += counts.uploaded_bytes;

@@ -16,6 +16,7 @@ mod device;
 mod drawing;
 mod last_frame;
 mod loading;
+mod models;
 mod node_cache;
 mod pacing;
 mod plan;

@@ -8,6 +8,7 @@ use crate::frame::appearance::Appearance;
 use crate::frame::device::Device;
 #[cfg(feature = "gpu")]
 use crate::frame::device::{GpuPass, OnGpu};
+use crate::frame::models::Models;
 use crate::frame::node_cache::{NodeCache, Storage};
 use crate::frame::pacing::Pacer;
 use crate::frame::plan::Plan;
@@ -29,6 +30,8 @@ use crate::stream::SceneNode;
 pub struct Renderer {
     pub(super) device: Device,
     pub(super) sources: Vec<Arc<dyn NodeSource>>,
+    /// Only while there are models.
+    pub(super) models: Option<Box<Models>>,
     /// Bytes that all nodes of the scene have when they are ready.
     pub(super) scene_bytes: u64,
     /// The most that one of them has.
@@ -65,7 +68,7 @@ const MAX_PROBLEMS: usize = 8;
 impl Renderer {
     /// A renderer without a device; it holds at most `limit_bytes` of points.
     pub fn on_cpu(limit_bytes: u64) -> Self {
-        let device = Device::Cpu { pass: PointsCpu::default(), picture: None };
+        let device = Device::Cpu { pass: PointsCpu::default(), meshes: None, picture: None };
         Renderer::new(device, Storage::Memory { limit_bytes })
     }
 
@@ -107,6 +110,7 @@ impl Renderer {
             timer,
             targets: None,
             finish,
+            meshes: None,
             has_depth: false,
         }));
         Ok(Renderer::new(device, storage))
@@ -116,6 +120,7 @@ impl Renderer {
         Renderer {
             device,
             sources: Vec::new(),
+            models: None,
             scene_bytes: 0,
             largest_node_bytes: 0,
             reader: None,
@@ -154,7 +159,7 @@ impl Renderer {
         }
     }
 
-    /// Replaces the scene; what was loaded of the old one is dropped.
+    /// Replaces the points of the scene; what was loaded of the old ones is dropped. Models stay.
     pub fn set_scene(&mut self, sources: Vec<Arc<dyn NodeSource>>) {
         self.sources = sources;
         self.read_before = self.bytes_read();
@@ -191,10 +196,10 @@ impl Renderer {
         self.former = former;
     }
 
-    /// The box of all points of the scene; empty without points.
+    /// The box of all points and models of the scene; empty without any.
     pub fn bounds(&self) -> Aabb {
         let boxes = self.sources.iter().map(|source| source.bounds());
-        boxes.fold(Aabb::EMPTY, |all, bounds| all.union(&bounds))
+        boxes.fold(self.model_bounds(), |all, bounds| all.union(&bounds))
     }
 
     /// Statistics of the last frame.
@@ -352,6 +357,7 @@ impl Renderer {
             self.fill_table(&cuts, view, settings);
             #[cfg(feature = "gpu")]
             self.add_alternative(view, settings);
+            self.choose_objects(view);
             self.note_cuts(&cuts);
             cuts.into_iter().for_each(|cut| self.scratch.recycle(cut));
         } else {

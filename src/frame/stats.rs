@@ -22,6 +22,12 @@ pub struct FrameStats {
     pub nodes_drawn: u32,
     /// Nodes drawn that are still appearing.
     pub nodes_appearing: u32,
+    /// Objects of models drawn.
+    pub objects_drawn: u32,
+    /// Objects of models left out because they are out of sight.
+    pub objects_culled: u32,
+    /// Triangles of the objects drawn, hidden ones included.
+    pub triangles_drawn: u64,
     /// Draw calls.
     pub draw_calls: u32,
     /// Compute dispatches.

@@ -68,6 +68,7 @@ pub struct Gpu {
     queue: wgpu::Queue,
     info: wgpu::AdapterInfo,
     vertex_storage: bool,
+    fragment_storage: bool,
     narrow_compute: bool,
     failure: Failure,
     waits: AtomicU64,
@@ -79,7 +80,10 @@ const COMPUTE_FEATURES: wgpu::Features =
 
 /// The features that drawing uses where an adapter has them; none is required.
 pub fn wanted_features(adapter: &wgpu::Adapter) -> wgpu::Features {
-    adapter.features() & COMPUTE_FEATURES.union(wgpu::Features::TIMESTAMP_QUERY)
+    adapter.features()
+        & COMPUTE_FEATURES
+            .union(wgpu::Features::TIMESTAMP_QUERY)
+            .union(wgpu::Features::INDIRECT_FIRST_INSTANCE)
 }
 
 /// The limits that drawing uses: the defaults, and as large buffers and textures as there are.
@@ -149,6 +153,7 @@ impl Gpu {
             queue,
             info: adapter.get_info(),
             vertex_storage: flags.contains(wgpu::DownlevelFlags::VERTEX_STORAGE),
+            fragment_storage: flags.contains(wgpu::DownlevelFlags::FRAGMENT_STORAGE),
             // Storage in fragments for the resolve.
             narrow_compute: flags.contains(
                 wgpu::DownlevelFlags::COMPUTE_SHADERS | wgpu::DownlevelFlags::FRAGMENT_STORAGE,
@@ -193,6 +198,11 @@ impl Gpu {
     /// Whether vertex shaders may read storage buffers, which the way without atomics needs.
     pub fn draws_by_raster(&self) -> bool {
         self.vertex_storage
+    }
+
+    /// Whether models can be drawn: vertices and fragments read storage buffers.
+    pub fn draws_meshes(&self) -> bool {
+        self.vertex_storage && self.fragment_storage
     }
 
     /// Whether the GPU's own clock can be read.

@@ -204,6 +204,58 @@ gpu_struct! {
     }
 }
 
+gpu_struct! {
+    /// An object of a model in front of a camera.
+    ///
+    /// A vertex `p` is seen from the eye as `q = (p - eye_high) - eye_low`, in the shape's axes: the
+    /// first difference is exact where the eye is near, so pictures do not tremble however far the
+    /// shape's origin is. The columns then map `q` as those of [`GpuFrame`] do.
+    GpuMeshObject, 128 {
+        /// Column for the shape's x; the fourth lane is added to the first of the result.
+        screen_from_mesh_x: [f32; 4],
+        /// Column for the shape's y; the fourth lane is added to the second of the result.
+        screen_from_mesh_y: [f32; 4],
+        /// Column for the shape's z; the fourth lane is added to the third of the result.
+        screen_from_mesh_z: [f32; 4],
+        /// The eye in the shape's axes, rounded; 0 if the shape is placed flat.
+        eye_high: [f32; 3],
+        /// Its material.
+        material: u32,
+        /// What rounding left.
+        eye_low: [f32; 3],
+        /// Unused.
+        padding_0: u32,
+        /// Column of world normals for the shape's x, of any length; the fourth lane is unused.
+        normal_x: [f32; 4],
+        /// The same for y.
+        normal_y: [f32; 4],
+        /// The same for z.
+        normal_z: [f32; 4],
+    }
+}
+
+gpu_struct! {
+    /// What a surface looks like.
+    GpuMaterial, 32 {
+        /// RGBA8, red in the lowest byte.
+        color: u32,
+        /// Fragments less opaque than this are left out.
+        alpha_cutoff: f32,
+        /// First texel of the texture's finest level.
+        texture_at: u32,
+        /// Texels in a row of that level.
+        texture_width: u32,
+        /// Its rows.
+        texture_height: u32,
+        /// Levels, each half as large as the one before; 0 without a texture.
+        texture_levels: u32,
+        /// Unused.
+        padding_0: u32,
+        /// Unused.
+        padding_1: u32,
+    }
+}
+
 /// All shared structs.
 pub const STRUCTS: &[StructLayout] = &[
     GpuFrame::LAYOUT,
@@ -212,6 +264,8 @@ pub const STRUCTS: &[StructLayout] = &[
     GpuFinish::LAYOUT,
     GpuCheckpoint::LAYOUT,
     GpuDispatch::LAYOUT,
+    GpuMeshObject::LAYOUT,
+    GpuMaterial::LAYOUT,
 ];
 
 /// WGSL text that declares the shared constants; every shader starts with it.

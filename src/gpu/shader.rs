@@ -24,6 +24,7 @@ const FILES: &[(&str, &str)] = files![
     "resolve",
     "fill_gaps",
     "eye_dome",
+    "meshes",
     "shared/structs",
     "shared/scene",
     "shared/splat",

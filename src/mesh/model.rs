@@ -130,6 +130,12 @@ impl Model {
         self.objects.iter().map(place).collect()
     }
 
+    /// The world box of one object.
+    pub fn bounds_of(&self, object: ObjectId) -> Aabb {
+        let object = &self.objects[object.index()];
+        placed_bounds(&self.mesh(object).bounds(), &object.world_from_mesh)
+    }
+
     /// The smallest box around all objects.
     pub fn bounds(&self) -> Aabb {
         self.object_bounds().iter().fold(Aabb::EMPTY, |all, one| all.union(one))

@@ -3,15 +3,20 @@
 //! Points are drawn in four ways that give the same picture: [`PointsCompute`] with 64-bit atomics
 //! (main) or 32-bit ones, [`PointsRaster`] (adapters without either) and [`PointsCpu`] (twin of the
 //! first, for machines without any adapter). [`FinishSettings`] tells what is done to the picture
-//! afterwards. [`splat`] is the arithmetic they share, [`DrawTable`] the list
+//! afterwards. Triangles of models are drawn into the same picture by [`Meshes`] and [`MeshesCpu`].
+//! [`splat`] is the arithmetic they share, [`DrawTable`] the list
 //! they draw. Which nodes are drawn is decided in `select`, when and from where they are loaded in
 //! `frame`.
 
 mod alternatives;
 mod draw_table;
 mod finish_cpu;
+mod mesh_list;
+mod mesh_tables;
+mod meshes_cpu;
 mod picture;
 mod points_cpu;
+mod rasterize;
 mod reference;
 mod shown;
 pub mod splat;
@@ -24,6 +29,10 @@ mod checkpoint;
 mod finish;
 #[cfg(feature = "gpu")]
 mod grow;
+#[cfg(feature = "gpu")]
+mod mesh_upload;
+#[cfg(feature = "gpu")]
+mod meshes;
 #[cfg(feature = "gpu")]
 mod points_bare;
 #[cfg(feature = "gpu")]
@@ -38,8 +47,11 @@ pub use draw_table::{BatchKind, Batches, CloudDraw, DrawTable, DrawnNode, NodePl
 pub use finish_cpu::{
     EyeDome, FinishSettings, MAX_FINISH_RADIUS_PX, fill_gaps, finish, light_eye_dome,
 };
+pub use mesh_list::{DrawOrder, MeshCounts};
+pub use meshes_cpu::MeshesCpu;
 pub use picture::{Picture, Tile};
 pub use points_cpu::{NodeWords, PointsCpu};
+pub use rasterize::{ClipVertex, Fragment, RasterTarget, rasterize};
 pub use reference::reference_picture;
 
 /// What a point pass on the device draws, and where to.
@@ -75,6 +87,8 @@ pub struct DrawCounts {
 pub use checkpoint::{Checkpoint, Decision};
 #[cfg(feature = "gpu")]
 pub use finish::Finish;
+#[cfg(feature = "gpu")]
+pub use meshes::{MeshColor, MeshList, MeshOutput, Meshes};
 #[cfg(feature = "gpu")]
 pub use points_bare::PointsBare;
 #[cfg(feature = "gpu")]

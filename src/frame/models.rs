@@ -1,0 +1,112 @@
+//! Models in the scene: what is in sight of them, drawn into the picture of the points.
+//!
+//! Models are drawn when the points are done and finished, against their depth: whatever is nearer
+//! shows. So eye-dome lighting and the filling of gaps see points alone. Without models nothing is
+//! kept, tested or drawn.
+
+use std::sync::Arc;
+
+use glam::DAffine3;
+
+use crate::frame::Renderer;
+use crate::frame::device::Device;
+use crate::geometry::{Aabb, Containment, Frustum, View};
+use crate::ids::ObjectId;
+use crate::mesh::Model;
+
+/// The models of a scene.
+pub(super) struct Models {
+    pub(super) model: Arc<Model>,
+    bounds: Vec<Aabb>,
+    all: Aabb,
+    /// Objects of this frame.
+    pub(super) visible: Vec<ObjectId>,
+}
+
+impl Models {
+    fn new(model: Arc<Model>) -> Self {
+        let bounds = model.object_bounds();
+        let all = bounds.iter().fold(Aabb::EMPTY, |all, one| all.union(one));
+        Models { model, bounds, all, visible: Vec::new() }
+    }
+
+    /// Chooses what is in sight.
+    fn choose(&mut self, view: &View) {
+        let frustum = Frustum::new(view);
+        let in_sight = |bounds: &Aabb| frustum.test_box(bounds) != Containment::Outside;
+        let bounds = self.bounds.iter().zip(0u32..);
+        self.visible.clear();
+        self.visible.extend(bounds.filter(|(b, _)| in_sight(b)).map(|(_, id)| ObjectId(id)));
+    }
+}
+
+impl Renderer {
+    /// Replaces the models of the scene; one without objects is none. The model must be sound by
+    /// [`Model::check`].
+    pub fn set_model(&mut self, model: Arc<Model>) {
+        self.models = (!model.is_empty()).then(|| Box::new(Models::new(model)));
+        self.drop_drawn_model();
+        self.last = None;
+    }
+
+    /// The models of the scene.
+    pub fn model(&self) -> Option<&Arc<Model>> {
+        self.models.as_ref().map(|models| &models.model)
+    }
+
+    /// Bytes of models held on the device; 0 on the CPU, where they are read as they are.
+    pub fn mesh_bytes(&self) -> u64 {
+        match &self.device {
+            Device::Cpu { .. } => 0,
+            #[cfg(feature = "gpu")]
+            Device::Gpu(on_gpu) => on_gpu.meshes.as_ref().map_or(0, |meshes| meshes.held_bytes()),
+        }
+    }
+
+    /// Moves an object of the models; nothing else is done anew. Ignored if there is no such object
+    /// or the place is not finite.
+    pub fn place_object(&mut self, object: ObjectId, world_from_mesh: DAffine3) {
+        let Some(models) = &mut self.models else { return };
+        if object.index() >= models.model.objects.len() || !world_from_mesh.is_finite() {
+            return;
+        }
+        let model = Arc::make_mut(&mut models.model);
+        model.objects[object.index()].world_from_mesh = world_from_mesh;
+        models.bounds[object.index()] = model.bounds_of(object);
+        models.all = models.bounds.iter().fold(Aabb::EMPTY, |all, one| all.union(one));
+        match &mut self.device {
+            Device::Cpu { meshes, .. } => {
+                if let Some(meshes) = meshes {
+                    meshes.place(object, world_from_mesh);
+                }
+            }
+            #[cfg(feature = "gpu")]
+            Device::Gpu(on_gpu) => {
+                if let Some(meshes) = &mut on_gpu.meshes {
+                    meshes.place(object, world_from_mesh);
+                }
+            }
+        }
+        self.last = None;
+    }
+
+    /// The box of all objects; empty without models.
+    pub(super) fn model_bounds(&self) -> Aabb {
+        self.models.as_ref().map_or(Aabb::EMPTY, |models| models.all)
+    }
+
+    /// Chooses the objects of a frame.
+    pub(super) fn choose_objects(&mut self, view: &View) {
+        let Some(models) = &mut self.models else { return };
+        models.choose(view);
+        self.stats.objects_culled = (models.model.objects.len() - models.visible.len()) as u32;
+    }
+
+    fn drop_drawn_model(&mut self) {
+        match &mut self.device {
+            Device::Cpu { meshes, .. } => *meshes = None,
+            #[cfg(feature = "gpu")]
+            Device::Gpu(on_gpu) => on_gpu.meshes = None,
+        }
+    }
+}

@@ -8,6 +8,7 @@
 use std::io::{self, Read, Seek, SeekFrom};
 use std::ops::{Range, RangeInclusive};
 
+use laz::LazItemType;
 use laz::record::{
     LayeredPointRecordDecompressor, RecordDecompressor, SequentialPointRecordDecompressor,
 };
@@ -16,6 +17,8 @@ use super::error::LasFault;
 use super::guard::without_panic;
 use super::las_layout::batch_records;
 use super::laz_layout::{ChunkRule, LazCoding};
+use super::laz_point14::Point14;
+use super::laz_times::PointwiseTimes;
 use super::positioned_file::PositionedFile;
 use super::scan::{Block, BlockBuffer, RecordSink};
 
@@ -140,46 +143,36 @@ impl LayerHeader {
         if points == 0 {
             return Err(fault("says that it holds no point".to_string()));
         }
-        if layers.len() > GPS_TIME_LAYER {
-            let start = layers_start + layers[..GPS_TIME_LAYER].iter().sum::<u64>();
-            let range = start..start + layers[GPS_TIME_LAYER];
-            if has_erased_run(&file.read_range(range)?) {
-                return Err(fault("its GPS times are overwritten with 0xff".to_string()));
-            }
-        }
         Ok(LayerHeader { points, end })
     }
-}
-
-/// Which of the layers holds the GPS times.
-const GPS_TIME_LAYER: usize = 8;
-
-/// Most bytes of 0xff in a row that GPS times may have. The decoder of `laz` calls itself for each
-/// symbol that only switches to another sequence of times, and that symbol is the one that 0xff
-/// stands for. Whole files never have two of them in a row; 7 such bytes are some 16,000 calls,
-/// each further one 45,000 more, and the stack would end the process.
-const MOST_ERASED_BYTES: usize = 7;
-
-/// Whether bytes hold a longer run of 0xff. Coded numbers look random, so undamaged ones do not.
-fn has_erased_run(bytes: &[u8]) -> bool {
-    let mut run = 0;
-    bytes.iter().any(|&byte| {
-        run = if byte == 0xff { run + 1 } else { 0 };
-        run > MOST_ERASED_BYTES
-    })
 }
 
 type Decompressor<'a> = Box<dyn RecordDecompressor<ChunkReader<'a>> + 'a>;
 
 /// A decompressor for one chunk. `coding` was checked, so the fields are known.
+///
+/// All fields but those with GPS times are left to `laz`.
 fn decompressor<'a>(coding: &LazCoding, reader: ChunkReader<'a>) -> laz::Result<Decompressor<'a>> {
-    let mut decompressor: Decompressor = if coding.layered {
-        Box::new(LayeredPointRecordDecompressor::new(reader))
-    } else {
-        Box::new(SequentialPointRecordDecompressor::new(reader))
-    };
-    decompressor.set_fields_from(&coding.items)?;
-    Ok(decompressor)
+    if coding.layered {
+        let mut layered = LayeredPointRecordDecompressor::new(reader);
+        for item in &coding.items {
+            match item.item_type() {
+                LazItemType::Point14 => {
+                    layered.add_field_decompressor(Point14::new(item.version()))
+                }
+                _ => layered.set_fields_from(&vec![*item])?,
+            }
+        }
+        return Ok(Box::new(layered));
+    }
+    let mut pointwise = SequentialPointRecordDecompressor::new(reader);
+    for item in &coding.items {
+        match (item.item_type(), item.version()) {
+            (LazItemType::GpsTime, 2) => pointwise.add_field_decompressor(PointwiseTimes::new()),
+            _ => pointwise.set_fields_from(&vec![*item])?,
+        }
+    }
+    Ok(Box::new(pointwise))
 }
 
 /// Decodes a block and hands out its records in batches; returns the number of points.

@@ -24,6 +24,8 @@ mod header;
 mod las_layout;
 mod laz_decode;
 mod laz_layout;
+mod laz_point14;
+mod laz_times;
 mod mesh;
 mod pcd;
 mod placing;

@@ -426,3 +426,92 @@ fn without_models_nothing_is_drawn_counted_or_held() {
         assert_eq!(settings.background, BACKGROUND);
     }
 }
+
+/// A recording of lists as culling makes them: some objects in one order, the rest later, depth
+/// first or with colour, in several passes over one depth buffer.
+#[test]
+fn lists_recorded_in_any_order_give_the_picture_of_one_recording() {
+    use esker::gpu::Gpu;
+    use esker::passes::{
+        DrawOrder, MeshColor, MeshCounts, MeshList, MeshOutput, Meshes, Targets, Tile,
+    };
+    use esker::select::SplatSettings;
+
+    let Some(gpu) = gpu() else { return };
+    let model = SceneKind::Pipes.make(6, 2).model;
+    let view = framing(&model, ViewPreset::Iso, 320, 240);
+    let frame = Tile::whole(&view).gpu_frame(&view, &SplatSettings::default(), BACKGROUND);
+    let all: Vec<ObjectId> = model.object_ids().collect();
+    let backwards: Vec<ObjectId> = all.iter().rev().copied().collect();
+    type Step<'a> = (&'a MeshList, std::ops::Range<usize>, MeshOutput);
+    let picture = |gpu: &Gpu, meshes: &mut Meshes, steps: &[Step]| {
+        let targets = Targets::new(gpu, 320, 240).unwrap();
+        let mut counts = MeshCounts::default();
+        let mut encoder = gpu.device().create_command_encoder(&Default::default());
+        targets.clear(&mut encoder, BACKGROUND);
+        for (list, range, output) in steps {
+            let (color, depth) = targets.cleared(BACKGROUND);
+            let load = wgpu::LoadOp::Load;
+            let color = wgpu::RenderPassColorAttachment {
+                ops: wgpu::Operations { load, store: wgpu::StoreOp::Store },
+                ..color
+            };
+            let depth = depth.map(|depth| wgpu::RenderPassDepthStencilAttachment {
+                depth_ops: Some(wgpu::Operations {
+                    load: wgpu::LoadOp::Load,
+                    store: wgpu::StoreOp::Store,
+                }),
+                ..depth
+            });
+            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+                color_attachments: &[(output.color != MeshColor::Absent).then_some(color)]
+                    [..usize::from(output.color != MeshColor::Absent)],
+                depth_stencil_attachment: depth,
+                ..Default::default()
+            });
+            counts += meshes.record_part(gpu, &mut pass, list, range.clone(), *output).unwrap();
+        }
+        gpu.queue().submit([encoder.finish()]);
+        (
+            targets.read_colors(gpu).unwrap(),
+            targets.read_distances(gpu, frame.near).unwrap(),
+            counts,
+        )
+    };
+    let mut meshes = Meshes::new(&gpu, &model).unwrap();
+    meshes.begin(&gpu, &view, &frame).unwrap();
+    let grouped = meshes.list(&gpu, &all, DrawOrder::Grouped).unwrap();
+    let one = picture(&gpu, &mut meshes, &[(&grouped, 0..grouped.draw_count(), MeshOutput::COLOR)]);
+    assert!(one.1.iter().filter(|d| d.is_finite()).count() > 10_000);
+    assert_eq!(one.2.objects as usize, all.len());
+    assert!(one.2.draw_calls <= 4, "{} calls", one.2.draw_calls);
+
+    let kept = meshes.list(&gpu, &backwards, DrawOrder::Kept).unwrap();
+    assert_eq!(kept.draw_count(), all.len());
+    let (half, end) = (all.len() / 2, all.len());
+    let equal = MeshOutput {
+        depth_compare: wgpu::CompareFunction::Equal,
+        writes_depth: false,
+        ..MeshOutput::COLOR
+    };
+    let unseen = MeshOutput { color: MeshColor::Kept, ..MeshOutput::COLOR };
+    for (what, steps) in [
+        ("parts", vec![(&kept, half..end, MeshOutput::COLOR), (&kept, 0..half, MeshOutput::COLOR)]),
+        (
+            "depth first",
+            vec![(&kept, 0..end, MeshOutput::DEPTH), (&grouped, 0..grouped.draw_count(), equal)],
+        ),
+        ("depth beside colours", vec![(&kept, 0..end, unseen), (&kept, 0..end, equal)]),
+    ] {
+        let found = picture(&gpu, &mut meshes, &steps);
+        assert_eq!(found.1, one.1, "{what}: depths");
+        assert_eq!(found.0.colors, one.0.colors, "{what}: colours");
+    }
+    // Without arguments in a buffer each shape is a call.
+    let mut direct = Meshes::new(&gpu, &model).unwrap().without_indirect_draws();
+    direct.begin(&gpu, &view, &frame).unwrap();
+    let list = direct.list(&gpu, &all, DrawOrder::Grouped).unwrap();
+    let found = picture(&gpu, &mut direct, &[(&list, 0..list.draw_count(), MeshOutput::COLOR)]);
+    assert_eq!((&found.0.colors, &found.1), (&one.0.colors, &one.1));
+    assert_eq!(found.2.draw_calls as usize, list.draw_count());
+}

@@ -374,3 +374,52 @@ fn statistics_are_written_on_demand_and_at_the_end() {
         fs::remove_file(&path).expect("removes");
     }
 }
+
+#[test]
+fn models_are_opened_dropped_shown_and_closed_beside_points() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let field = store(folder.path());
+    let ahead = {
+        let mut hand = Hand::looking_at(&field);
+        hand.settle();
+        hand.statistics()
+    };
+    // A pyramid over the field, which lies at (0, 0) to (100, 100) m from this place on.
+    let metadata = esker::store::Store::open(&field).expect("opens").metadata().bounds();
+    let [x, y, z] = metadata.center().to_array();
+    let path = folder.path().join("pyramid.obj");
+    let mut text = String::new();
+    for (dx, dy, dz) in
+        [(-9.0, -9.0, 4.0), (9.0, -9.0, 4.0), (9.0, 9.0, 4.0), (-9.0, 9.0, 4.0), (0.0, 0.0, 30.0)]
+    {
+        text += &format!("v {} {} {}\n", x + dx, y + dy, z + dz);
+    }
+    text += "f 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5\nf 1 2 77\n";
+    fs::write(&path, text).expect("writes");
+    let mut hand = Hand::new();
+    hand.drop_file(&path);
+    hand.settle();
+    let now = hand.statistics();
+    assert_eq!((now.models.len(), now.files.len(), now.triangles), (1, 0, 4));
+    assert_eq!((now.frame.triangles_drawn, now.frame.points_drawn), (4, 0));
+    assert_eq!(now.notices.len(), 1, "the triangle that is not there: {:?}", now.notices);
+    assert!(hand.viewer.title().starts_with("pyramid.obj"));
+    // Both of one request stay together, whichever comes first.
+    hand.viewer.open(&hand.ctx.clone(), vec![path.clone(), field.clone()]);
+    hand.settle();
+    let now = hand.statistics();
+    assert_eq!((now.models.len(), now.files.len()), (1, 1));
+    assert!(now.frame.triangles_drawn == 4 && now.frame.points_drawn > 1000);
+    // Another file takes the place of both.
+    hand.drop_file(&field);
+    hand.settle();
+    let now = hand.statistics();
+    assert_eq!((now.models.len(), now.files.len(), now.frame.triangles_drawn), (0, 1, 0));
+    assert_eq!(now.eye, ahead.eye, "framed as if there had been no model");
+    fs::write(folder.path().join("bad.glb"), b"glTF\x07\0\0\0").expect("writes");
+    hand.drop_file(&folder.path().join("bad.glb"));
+    hand.settle();
+    let now = hand.statistics();
+    assert!(now.notices.iter().any(|n| n.contains("glTF version 7")), "{:?}", now.notices);
+    assert_eq!(now.files.len(), 1, "what was on view stays");
+}

@@ -8,7 +8,7 @@ use clap::Args;
 #[cfg(feature = "viewer")]
 #[derive(Debug, Args)]
 pub struct ViewArgs {
-    /// Stores, scans, folders of scans. Scans are shown at once by some of their points and
+    /// Stores, scans, folders of scans, models (glTF, GLB, OBJ, STL, PLY with faces). Scans are shown at once by some of their points and
     /// converted, to NAME.esker beside them if nothing has that name and the folder can be written,
     /// else to a temporary store; those of a folder become one store beside it. Without files: an
     /// empty window to drop them on
@@ -30,6 +30,8 @@ pub struct ViewArgs {
     color: String,
     #[command(flatten)]
     picture: crate::commands::picture_options::PictureOptions,
+    #[command(flatten)]
+    models: crate::commands::models::ModelArgs,
     /// How points are drawn
     #[arg(long, value_enum, default_value = "auto")]
     renderer: crate::commands::render::RendererChoice,
@@ -102,6 +104,7 @@ pub fn run(args: ViewArgs) -> anyhow::Result<ExitCode> {
                 temporary: args.temporary,
                 preview_points: Some(args.preview),
                 list_folder: Some(inputs::expand_folder),
+                models: args.models.options(),
                 ..OpeningOptions::default()
             },
             began: Some(began),

@@ -2,15 +2,15 @@
 
 use rayon::prelude::*;
 
-use crate::gpu::{Gpu, GpuError};
+use crate::gpu::{Gpu, GpuError, HeldBuffer};
 use crate::mesh::Mesh;
 use crate::passes::mesh_tables::MeshVertex;
 
 /// Vertices and indices of many shapes.
 #[derive(Debug)]
 pub(super) struct Shelf {
-    pub vertices: wgpu::Buffer,
-    pub indices: wgpu::Buffer,
+    pub vertices: HeldBuffer,
+    pub indices: HeldBuffer,
 }
 
 impl Shelf {
@@ -64,14 +64,15 @@ pub(super) fn stock(
         (sum[0], sum[1]) = (sum[0] + added[0], sum[1] + added[1]);
     }
     let buffer = |label, bytes: u64, usage| {
-        gpu.checked("hold the shapes of models", || {
-            gpu.device().create_buffer(&wgpu::BufferDescriptor {
+        gpu.create_buffer(
+            "hold the shapes of models",
+            &wgpu::BufferDescriptor {
                 label: Some(label),
                 size: bytes.max(4),
                 usage: usage | wgpu::BufferUsages::COPY_DST,
                 mapped_at_creation: false,
-            })
-        })
+            },
+        )
     };
     let mut shelves = Vec::with_capacity(sums.len());
     for [vertices, indices] in sums {

@@ -9,13 +9,14 @@
 //! Which objects are drawn is decided elsewhere. Nothing is sorted by depth and nothing blended.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use glam::DAffine3;
 use rayon::prelude::*;
 
 use crate::geometry::View;
 use crate::gpu::layout::{GpuFrame, GpuMaterial, GpuMeshObject};
-use crate::gpu::{Gpu, GpuError, GrowingBuffer, shader};
+use crate::gpu::{Gpu, GpuError, GrowingBuffer, HeldBuffer, shader};
 use crate::ids::ObjectId;
 use crate::mesh::{Mesh, Model};
 use crate::passes::Targets;
@@ -63,7 +64,7 @@ pub struct MeshList {
     draws: Vec<MeshDraw>,
     drawn: wgpu::BindGroup,
     /// Arguments of the draws, and where they begin.
-    arguments: Option<(wgpu::Buffer, u64)>,
+    arguments: Option<(Arc<HeldBuffer>, u64)>,
 }
 
 impl MeshList {
@@ -486,7 +487,7 @@ impl Lists {
 struct Pages {
     label: &'static str,
     usage: wgpu::BufferUsages,
-    pages: Vec<wgpu::Buffer>,
+    pages: Vec<Arc<HeldBuffer>>,
     current: usize,
     filled: u64,
 }
@@ -507,9 +508,9 @@ impl Pages {
         (self.current, self.filled) = (0, 0);
     }
 
-    fn write(&mut self, gpu: &Gpu, bytes: &[u8]) -> Result<(wgpu::Buffer, u64), GpuError> {
+    fn write(&mut self, gpu: &Gpu, bytes: &[u8]) -> Result<(Arc<HeldBuffer>, u64), GpuError> {
         let length = bytes.len() as u64;
-        let fits = |page: &wgpu::Buffer, filled: u64| page.size() - filled >= length;
+        let fits = |page: &HeldBuffer, filled: u64| page.size() - filled >= length;
         while self.pages.get(self.current).is_some_and(|page| !fits(page, self.filled)) {
             (self.current, self.filled) = (self.current + 1, 0);
         }
@@ -522,8 +523,7 @@ impl Pages {
                 usage: self.usage | wgpu::BufferUsages::COPY_DST,
                 mapped_at_creation: false,
             };
-            let create = || gpu.device().create_buffer(&descriptor);
-            self.pages.push(gpu.checked("hold lists of objects", create)?);
+            self.pages.push(Arc::new(gpu.create_buffer("hold lists of objects", &descriptor)?));
         }
         let (page, offset) = (&self.pages[self.current], self.filled);
         gpu.queue().write_buffer(page, offset, bytes);
@@ -532,6 +532,6 @@ impl Pages {
     }
 
     fn held_bytes(&self) -> u64 {
-        self.pages.iter().map(wgpu::Buffer::size).sum()
+        self.pages.iter().map(|page| page.size()).sum()
     }
 }

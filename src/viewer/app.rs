@@ -18,6 +18,7 @@ use crate::gpu::GpuError;
 use crate::store::Store;
 use crate::viewer::canvas::Canvas;
 use crate::viewer::keys::{self, KeyCommand};
+use crate::viewer::models::{self, OpenedModel};
 use crate::viewer::opening::{Advance, KeptIn, Opened, OpenedFile, Opening, OpeningOptions};
 use crate::viewer::panels::{self, FileAction, Notice};
 use crate::viewer::statistics::{Milestone, Statistics};
@@ -56,6 +57,7 @@ pub struct Viewer {
     /// Whether the camera was moved since the scene was last framed.
     was_moved: bool,
     files: Vec<OpenedFile>,
+    models: Vec<OpenedModel>,
     opening: Option<Opening>,
     /// The preview on view of what is being opened.
     preview: Option<Arc<Store>>,
@@ -117,6 +119,7 @@ impl Viewer {
             asked_part: None,
             was_moved: false,
             files: Vec::new(),
+            models: Vec::new(),
             opening: None,
             preview: None,
             takes_over: false,
@@ -171,6 +174,7 @@ impl Viewer {
         while let Some(news) = opening.next() {
             match news {
                 Opened::Files(files) => self.show_files(files),
+                Opened::Model(model) => self.show_model(model),
                 Opened::Preview(file) => {
                     let store = file.store.clone();
                     self.show_files(vec![file]);
@@ -213,6 +217,9 @@ impl Viewer {
             adapter: self.options.adapter.clone(),
             renderer: self.renderer.path().name(),
             files: self.files.iter().map(|file| file.path.clone()).collect(),
+            models: self.models.iter().map(|model| model.path.clone()).collect(),
+            triangles: self.models.iter().map(|model| model.model.triangle_count()).sum(),
+            objects: self.models.iter().map(|model| model.model.objects.len() as u64).sum(),
             stores: self.files.iter().map(|file| file.kept_in.clone()).collect(),
             points: octrees().map(|octree| octree.point_count()).sum(),
             nodes: octrees().map(|octree| octree.nodes().len() as u64).sum(),
@@ -249,10 +256,12 @@ impl Viewer {
 
     /// The name of what is on view, for the title.
     pub fn title(&self) -> String {
-        match self.files.as_slice() {
+        let files = self.files.iter().map(|file| &file.path);
+        let paths: Vec<_> = files.chain(self.models.iter().map(|model| &model.path)).collect();
+        match paths.as_slice() {
             [] => "Esker".to_owned(),
-            [file, more @ ..] => {
-                let name = file.path.file_name().unwrap_or_default().to_string_lossy();
+            [path, more @ ..] => {
+                let name = path.file_name().unwrap_or_default().to_string_lossy();
                 match more.len() {
                     0 => format!("{name} - Esker"),
                     more => format!("{name} and {more} more - Esker"),
@@ -283,10 +292,7 @@ impl Viewer {
     }
 
     fn show_files(&mut self, files: Vec<OpenedFile>) {
-        if mem::take(&mut self.replaces) {
-            self.files.clear();
-            self.was_moved = false;
-        }
+        self.replace_if_asked();
         let count = self.files.len();
         if let Some(preview) = self.preview.take() {
             self.files.retain(|file| !Arc::ptr_eq(&file.store, &preview));
@@ -298,6 +304,40 @@ impl Viewer {
         if !takes_over && !self.was_moved {
             self.asked_view = Some(self.options.view);
         }
+    }
+
+    /// Takes away what is on view if what comes is to take its place.
+    fn replace_if_asked(&mut self) {
+        if mem::take(&mut self.replaces) {
+            self.files.clear();
+            if !self.models.is_empty() {
+                self.models.clear();
+                self.renderer.set_model(models::joined(&self.models));
+            }
+            self.was_moved = false;
+        }
+    }
+
+    fn show_model(&mut self, model: OpenedModel) {
+        let replaces = self.replaces;
+        self.replace_if_asked();
+        self.models.push(model);
+        self.take_models();
+        if replaces {
+            self.take_scene(false);
+        }
+        if !self.was_moved {
+            self.asked_view = Some(self.options.view);
+        }
+    }
+
+    /// Gives the renderer the models on view.
+    fn take_models(&mut self) {
+        self.renderer.set_model(models::joined(&self.models));
+        self.is_new_scene = true;
+        self.control.set_bounds(&self.renderer.bounds());
+        self.zoom_anchor = None;
+        self.refused = None;
     }
 
     /// Gives the renderer what is on view. A scene that `takes_over` shows what the last one did,
@@ -388,6 +428,17 @@ impl Viewer {
             }
             None => {}
         }
+        match models::list(ui, &self.models) {
+            Some(FileAction::Show(index)) => {
+                self.asked_view = Some(self.options.view);
+                self.asked_part = Some(self.models[index].bounds);
+            }
+            Some(FileAction::Close(index)) => {
+                self.models.remove(index);
+                self.take_models();
+            }
+            None => {}
+        }
         ui.checkbox(&mut self.add_dropped, "dropped files are added to these");
         ui.separator();
         ui.checkbox(&mut self.shows_statistics, "Statistics (F2)");
@@ -406,9 +457,9 @@ impl Viewer {
         }
         let response = ui.allocate_rect(rect, Sense::drag());
         ui.painter().rect_filled(rect, 0.0, background(&self.settings));
-        if self.files.is_empty() {
+        if self.files.is_empty() && self.models.is_empty() {
             if self.opening.is_none() {
-                panels::hint(ui, rect, "Drop a store or a scan here");
+                panels::hint(ui, rect, "Drop a store, a scan or a model here");
             }
         } else {
             self.move_camera(&ctx, &response);

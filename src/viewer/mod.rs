@@ -1,4 +1,4 @@
-//! The window: look at stores and scans, fly through them, choose how they are drawn.
+//! The window: look at stores, scans and models, fly through them, choose how they are drawn.
 //!
 //! [`run`] opens it; [`Viewer`] is what it does, [`CameraControl`] how mouse and keys move the
 //! camera. Points are drawn by the same frame as everywhere; this room decides when. A thread of
@@ -10,6 +10,7 @@ mod canvas;
 mod kept;
 mod keys;
 mod look_panel;
+mod models;
 mod opening;
 mod panels;
 mod preview;
@@ -19,6 +20,7 @@ mod window;
 pub use app::{Viewer, ViewerOptions, first_settings};
 pub use camera_control::{CameraControl, DragKind};
 pub use canvas::Canvas;
+pub use models::OpenedModel;
 pub use opening::{Advance, KeptIn, ListFolder, Opened, OpenedFile, Opening, OpeningOptions, Wake};
 pub use statistics::{Milestone, Statistics};
 pub use window::{WindowOptions, run};

@@ -1,4 +1,4 @@
-//! Opening files beside the window: stores at once, scans after converting them.
+//! Opening files beside the window: stores and models at once, scans after converting them.
 //!
 //! One thread works through the files of one request and reports over a channel; the window asks
 //! for news each time it is drawn, and is woken when there are some. Dropping the request cancels
@@ -21,8 +21,10 @@ use tempfile::TempDir;
 
 use crate::build::{ConvertOptions, PointSample, Progress, Sources, Stage, convert_sources};
 use crate::frame::FIRST_PICTURE_BYTES;
+use crate::input::{ModelOptions, detect_model};
 use crate::store::{Store, is_store};
 use crate::viewer::kept::{can_write_beside, is_las, made_from, store_beside};
+use crate::viewer::models::{OpenedModel, open_model};
 use crate::viewer::preview::{FIRST_PREVIEW_POINTS, make_preview, preview_of, preview_sizes};
 
 /// Called from the opening thread when there is news.
@@ -42,6 +44,8 @@ pub struct OpeningOptions {
     pub preview_folder: Option<PathBuf>,
     /// What makes a folder a list of scans, which become one store; without, folders are refused.
     pub list_folder: Option<ListFolder>,
+    /// How models are placed.
+    pub models: ModelOptions,
 }
 
 /// A file or a folder that is open.
@@ -78,6 +82,8 @@ pub enum KeptIn {
 pub enum Opened {
     /// Files are open. They take the place of a preview.
     Files(Vec<OpenedFile>),
+    /// A model is open.
+    Model(OpenedModel),
     /// A preview of all that is still to come. It takes the place of the one before.
     Preview(OpenedFile),
     /// Something to tell about a file that is open nevertheless.
@@ -188,6 +194,10 @@ impl Worker {
         for path in paths {
             match self.find(&path) {
                 Ok(Found::Open(file)) => self.tell(Opened::Files(vec![file])),
+                Ok(Found::Model(model, lines)) => {
+                    lines.into_iter().for_each(|line| self.tell(Opened::Warning(line)));
+                    self.tell(Opened::Model(model));
+                }
                 Ok(Found::Scans(scans)) => jobs.push(Job { path, scans }),
                 Err(error) => self.tell(Opened::Failed(format!("{error:#}"))),
             }
@@ -211,6 +221,10 @@ impl Worker {
         let opened = |store, kept_in| Found::Open(file(path, store, kept_in, None));
         if is_store(path) {
             return Ok(opened(Store::open_with_coarse(path, FIRST_PICTURE_BYTES)?, KeptIn::Itself));
+        }
+        if detect_model(path).is_some() {
+            let (model, lines) = open_model(path, &self.options.models)?;
+            return Ok(Found::Model(model, lines));
         }
         let scans = match self.options.list_folder {
             Some(list) if path.is_dir() => list(path)?,
@@ -343,6 +357,8 @@ impl Worker {
 /// What there is of a path.
 enum Found {
     Open(OpenedFile),
+    /// With what is wrong in it.
+    Model(OpenedModel, Vec<String>),
     Scans(Vec<PathBuf>),
 }
 

@@ -281,6 +281,12 @@ fn statistic_rows(statistics: &Statistics) -> Vec<(String, String)> {
     row("renderer", statistics.renderer.to_owned());
     row("points drawn", of(grouped(frame.points_drawn), grouped(statistics.points)));
     row("nodes drawn", of(grouped(frame.nodes_drawn.into()), grouped(statistics.nodes)));
+    if statistics.objects > 0 {
+        let drawn = [frame.triangles_drawn, frame.objects_drawn.into()].map(grouped);
+        let [triangles, objects] = drawn;
+        row("triangles drawn", of(triangles, grouped(statistics.triangles)));
+        row("objects drawn", of(objects, grouped(statistics.objects)));
+    }
     row("frame (cpu)", milliseconds(frame.frame_ms));
     for clock in ["cpu", "gpu"] {
         for pass in frame.passes.iter().filter(|pass| pass.clock == clock) {
@@ -454,7 +460,7 @@ fn milliseconds(ms: f64) -> String {
 }
 
 /// `1 234 567`, with thin gaps.
-fn grouped(number: u64) -> String {
+pub(super) fn grouped(number: u64) -> String {
     let digits = number.to_string();
     let mut text = String::new();
     for (index, digit) in digits.chars().enumerate() {

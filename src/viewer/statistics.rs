@@ -30,7 +30,13 @@ pub struct Statistics {
     pub files: Vec<PathBuf>,
     /// Where the store of each is.
     pub stores: Vec<KeptIn>,
-    /// Points of these files.
+    /// Models on view.
+    pub models: Vec<PathBuf>,
+    /// Triangles of all objects of these models.
+    pub triangles: u64,
+    /// Their objects.
+    pub objects: u64,
+    /// Points of the files.
     pub points: u64,
     /// Nodes of these files.
     pub nodes: u64,

@@ -116,6 +116,7 @@ fn sorted(news: Vec<Opened>) -> (Vec<OpenedFile>, Vec<OpenedFile>, Vec<String>) 
                 previews.push(file);
             }
             Opened::Files(files) => stores.extend(files),
+            Opened::Model(model) => panic!("no scan is a model: {}", model.path.display()),
             Opened::Warning(line) | Opened::Failed(line) => lines.push(line),
         }
     }

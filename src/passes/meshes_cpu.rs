@@ -65,7 +65,7 @@ impl MeshesCpu {
         };
         MeshesCpu {
             shapes: model.meshes.par_iter().map(shape).collect(),
-            tables: MaterialTables::new(&model, u64::MAX),
+            tables: MaterialTables::new(&model, u32::MAX.into()),
             places: model.objects.iter().map(|object| object.world_from_mesh).collect(),
             model,
         }

@@ -24,8 +24,7 @@ const CHUNK_HEADER_BYTES: usize = 8;
 /// Longest file beside a document that is read.
 const MOST_BUFFER_BYTES: u64 = 1 << 36;
 /// Extensions that change nothing that is read here, or are understood.
-const KNOWN_EXTENSIONS: [&str; 3] =
-    ["KHR_mesh_quantization", "KHR_materials_unlit", "KHR_texture_transform"];
+const KNOWN_EXTENSIONS: [&str; 2] = ["KHR_mesh_quantization", "KHR_materials_unlit"];
 /// Opacity below which parts of a blended material are left out: nothing here is blended.
 const BLEND_CUTOFF: f32 = 0.1;
 

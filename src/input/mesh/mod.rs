@@ -96,11 +96,6 @@ pub struct ReadModel {
     pub report: ModelReport,
 }
 
-/// Suffixes, in lower case, of files that are models by name.
-pub fn model_suffixes() -> &'static [&'static str] {
-    &["gltf", "glb", "obj", "stl"]
-}
-
 /// What kind of model a file is; `None` for all other files, and for those that cannot be read.
 pub fn detect_model(path: &Path) -> Option<ModelFormat> {
     let file = open_regular(path).ok()?;

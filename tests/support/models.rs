@@ -1,5 +1,7 @@
 //! Small model files, written by tests: a unit cube in each format.
 
+#![allow(dead_code, reason = "each test binary uses a part")]
+
 use std::fs;
 use std::path::{Path, PathBuf};
 

@@ -3,6 +3,7 @@
 mod bars;
 mod cameras;
 mod convert;
+mod culling;
 mod limits;
 mod lod;
 mod options;
@@ -50,6 +51,9 @@ pub struct BenchArgs {
     /// lod: only these studies [default: all]
     #[arg(long, value_enum, value_delimiter = ',')]
     study: Vec<lod::StudyChoice>,
+    /// culling: only these studies [default: all]
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "STUDY")]
+    culling_study: Vec<culling::Study>,
     /// convert: most memory to use, such as 2GiB [default: half of what there is]
     #[arg(long, value_parser = parse_bytes)]
     memory: Option<u64>,
@@ -69,6 +73,8 @@ enum Suite {
     Stream,
     /// Rendering time: what estimators predict against what frames take
     Time,
+    /// Occlusion culling: questions, triangles, time and wrong pixels of every method on made scenes
+    Culling,
 }
 
 /// Runs a suite.
@@ -81,6 +87,7 @@ pub fn run(args: BenchArgs) -> anyhow::Result<ExitCode> {
         Suite::Stream => stream::run(&args)?,
         Suite::Stability => stability::run(&args)?,
         Suite::Time => time::run(&args)?,
+        Suite::Culling => culling::run(&args)?,
     }
     Ok(ExitCode::SUCCESS)
 }

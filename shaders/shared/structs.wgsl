@@ -82,3 +82,10 @@ struct GpuMaterial {
     padding_0: u32,
     padding_1: u32,
 }
+
+struct GpuBox {
+    low: vec3<f32>,
+    padding_0: u32,
+    high: vec3<f32>,
+    padding_1: u32,
+}

@@ -7,6 +7,7 @@ use clap::{Args, ValueEnum};
 use crate::frame::FrameSettings;
 use crate::passes::{EyeDome, FinishSettings, MAX_FINISH_RADIUS_PX};
 use crate::select::{SplatPolicy, SplatShape, SplatSize};
+use crate::visibility::{Algorithm, ChcOptions, ChcPlusOptions, CullingCosts};
 
 /// Options of how points look.
 #[derive(Clone, Debug, Args)]
@@ -47,6 +48,44 @@ pub(super) struct PictureOptions {
     /// Let nodes that arrive appear over that time, milliseconds (in the window)
     #[arg(long, value_name = "MS", default_value_t = 0, value_parser = parse_appear)]
     appear_ms: u32,
+    /// How hidden objects of models are found; the picture is the same
+    #[arg(long, value_enum, default_value = "auto")]
+    culling: CullingChoice,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum CullingChoice {
+    /// CHC++ while it pays, the view frustum alone otherwise
+    Auto,
+    /// Not at all: everything is drawn
+    None,
+    /// Whatever is outside of the view is left out
+    Frustum,
+    /// Each object in view is asked about and waited for
+    Naive,
+    /// Each box on the way down is asked about and waited for
+    StopAndWait,
+    /// Coherent hierarchical culling
+    Chc,
+    /// Coherent hierarchical culling with batches, multiqueries, jittered tests and tight bounds
+    #[value(name = "chc++")]
+    ChcPlus,
+}
+
+impl CullingChoice {
+    fn algorithm(self) -> Algorithm {
+        match self {
+            CullingChoice::Auto => {
+                Algorithm::Auto(ChcPlusOptions::default(), CullingCosts::default())
+            }
+            CullingChoice::None => Algorithm::None,
+            CullingChoice::Frustum => Algorithm::Frustum,
+            CullingChoice::Naive => Algorithm::Naive,
+            CullingChoice::StopAndWait => Algorithm::StopAndWait,
+            CullingChoice::Chc => Algorithm::Chc(ChcOptions::default()),
+            CullingChoice::ChcPlus => Algorithm::ChcPlus(ChcPlusOptions::default()),
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -87,6 +126,7 @@ const FIXED_PX: f64 = 2.0;
 impl PictureOptions {
     /// Writes them into the settings of a frame.
     pub(super) fn apply(&self, settings: &mut FrameSettings) {
+        settings.culling = self.culling.algorithm();
         let splat = &mut settings.cut.splat;
         splat.size = match self.size_mode {
             SizeChoice::Adaptive => SplatSize::Adaptive,

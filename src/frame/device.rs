@@ -6,6 +6,8 @@ use std::sync::Arc;
 #[cfg(feature = "gpu")]
 use crate::frame::FrameSettings;
 #[cfg(feature = "gpu")]
+use crate::frame::models::ModelCulling;
+#[cfg(feature = "gpu")]
 use crate::geometry::View;
 #[cfg(feature = "gpu")]
 use crate::gpu::{Gpu, GpuError, PassTimer, WordArena};
@@ -15,8 +17,8 @@ use crate::ids::ObjectId;
 use crate::mesh::Model;
 #[cfg(feature = "gpu")]
 use crate::passes::{
-    DrawCounts, DrawOrder, DrawTable, Finish, MeshCounts, MeshOutput, Meshes, PointDrawing,
-    PointsCompute, PointsRaster, Targets,
+    CulledMeshes, DrawCounts, DrawOrder, DrawTable, Finish, MeshCounts, MeshOutput, Meshes,
+    OcclusionQueries, PointDrawing, PointsCompute, PointsRaster, Targets,
 };
 use crate::passes::{MeshesCpu, Picture, PointsCpu};
 
@@ -42,6 +44,8 @@ pub(super) struct OnGpu {
     pub(super) finish: Finish,
     /// Only while there are models.
     pub(super) meshes: Option<Box<Meshes>>,
+    /// Only once occlusion culling was asked for.
+    pub(super) occlusion: Option<Box<OcclusionQueries>>,
     /// Whether the last frame wrote depth.
     pub(super) has_depth: bool,
 }
@@ -55,10 +59,10 @@ pub(super) enum GpuPass {
 
 /// The objects of models that a frame shows.
 #[cfg(feature = "gpu")]
-#[derive(Clone, Copy)]
 pub(super) struct ModelDrawing<'a> {
     pub(super) model: &'a Model,
     pub(super) visible: &'a [ObjectId],
+    pub(super) culling: Option<&'a mut ModelCulling>,
     pub(super) view: &'a View,
 }
 
@@ -81,12 +85,15 @@ impl OnGpu {
         self.timer.begin_frame();
         let gpu = self.gpu.clone();
         let models = models.filter(|models| !models.visible.is_empty());
-        if let Some(models) = models
-            && self.meshes.is_none()
-        {
-            self.meshes = Some(Box::new(Meshes::new(&gpu, models.model)?));
+        if let Some(models) = &models {
+            if self.meshes.is_none() {
+                self.meshes = Some(Box::new(Meshes::new(&gpu, models.model)?));
+            }
+            if models.culling.is_some() && self.occlusion.is_none() {
+                self.occlusion = Some(Box::new(OcclusionQueries::new(&gpu)?));
+            }
         }
-        let meshes = &mut self.meshes;
+        let (meshes, occlusion) = (&mut self.meshes, &mut self.occlusion);
         let (pass, timer, finish) = (&mut self.pass, &mut self.timer, &mut self.finish);
         let wants_depth = settings.depth || !settings.finish.is_nothing() || models.is_some();
         self.has_depth = wants_depth || matches!(pass, GpuPass::Raster(_));
@@ -101,17 +108,34 @@ impl OnGpu {
             let finishing = finish.draw(&gpu, &mut encoder, timer, &settings.finish, targets)?;
             let mut mesh_counts = MeshCounts::default();
             let mut mesh_bytes = 0;
+            let mut culled = None;
             if let (Some(models), Some(meshes)) = (models, meshes) {
                 meshes.begin(&gpu, models.view, frame)?;
-                let list = meshes.list(&gpu, models.visible, DrawOrder::Grouped)?;
-                let (colors, depths) = finish.finished(targets);
-                let mut pass = begin_over(&mut encoder, timer, colors, depths);
-                mesh_counts = meshes.record(&gpu, &mut pass, &list, MeshOutput::COLOR)?;
-                mesh_bytes = meshes.take_uploaded_bytes();
+                match (models.culling, occlusion) {
+                    (Some(culling), Some(queries)) => {
+                        culled = Some((culling, queries, meshes, models.view));
+                    }
+                    _ => {
+                        let list = meshes.list(&gpu, models.visible, DrawOrder::Grouped)?;
+                        let (colors, depths) = finish.finished(targets);
+                        let mut pass = begin_over(&mut encoder, timer, colors, depths);
+                        mesh_counts = meshes.record(&gpu, &mut pass, &list, MeshOutput::COLOR)?;
+                        mesh_bytes = meshes.take_uploaded_bytes();
+                    }
+                }
             }
             timer.end_frame(&mut encoder);
             gpu.queue().submit([encoder.finish()]);
             timer.after_submit();
+            if let Some((culling, queries, meshes, view)) = culled {
+                // Points are drawn by now: they hide objects too.
+                let over = finish.finished(targets);
+                let ModelCulling { tree, culler } = culling;
+                let mut drawing = CulledMeshes::new(&gpu, queries, meshes, tree, frame, over);
+                culler.frame(tree, view, &mut drawing);
+                mesh_counts = drawing.finish()?;
+                mesh_bytes = meshes.take_uploaded_bytes();
+            }
             let counts = DrawCounts {
                 dispatches: counts.dispatches + finishing.dispatches,
                 draw_calls: counts.draw_calls + finishing.draw_calls + mesh_counts.draw_calls,

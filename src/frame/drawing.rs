@@ -144,12 +144,19 @@ impl Renderer {
                 let Storage::Device(arena) = self.cache.storage() else {
                     unreachable!("a renderer on a device stores there")
                 };
-                let models = self.models.as_ref().map(|models| ModelDrawing {
+                let models = self.models.as_mut().map(|models| ModelDrawing {
                     model: &models.model,
                     visible: &models.visible,
+                    culling: models.culling.as_deref_mut(),
                     view,
                 });
                 let (counts, meshes) = on_gpu.draw(&frame, &self.table, arena, settings, models)?;
+                if let Some(models) = &self.models
+                    && let Some(culling) = &models.culling
+                {
+                    let counters = self.stats.culling.get_or_insert_default();
+                    counters.add(culling.culler.counters());
+                }
                 self.stats.objects_drawn += meshes.objects;
                 self.stats.triangles_drawn += meshes.triangles;
                 self.stats.draw_calls += counts.draw_calls;

@@ -11,32 +11,78 @@ use glam::DAffine3;
 use crate::frame::Renderer;
 use crate::frame::device::Device;
 use crate::geometry::{Aabb, Containment, Frustum, View};
+#[cfg(feature = "gpu")]
+use crate::hierarchy::Bvh;
 use crate::ids::ObjectId;
 use crate::mesh::Model;
+use crate::visibility::Algorithm;
+#[cfg(feature = "gpu")]
+use crate::visibility::Culler;
 
 /// The models of a scene.
 pub(super) struct Models {
     pub(super) model: Arc<Model>,
     bounds: Vec<Aabb>,
     all: Aabb,
-    /// Objects of this frame.
+    /// Objects of this frame that are in sight, hidden or not.
     pub(super) visible: Vec<ObjectId>,
+    /// What occlusion culling knows; made when it is first asked for.
+    #[cfg(feature = "gpu")]
+    pub(super) culling: Option<Box<ModelCulling>>,
+}
+
+/// The tree over the objects, and what was seen of it.
+#[cfg(feature = "gpu")]
+pub(super) struct ModelCulling {
+    pub(super) tree: Bvh,
+    pub(super) culler: Culler,
 }
 
 impl Models {
     fn new(model: Arc<Model>) -> Self {
         let bounds = model.object_bounds();
         let all = bounds.iter().fold(Aabb::EMPTY, |all, one| all.union(one));
-        Models { model, bounds, all, visible: Vec::new() }
+        Models {
+            model,
+            bounds,
+            all,
+            visible: Vec::new(),
+            #[cfg(feature = "gpu")]
+            culling: None,
+        }
     }
 
-    /// Chooses what is in sight.
-    fn choose(&mut self, view: &View) {
+    /// Chooses what is in sight; everything, if that is how it is to be.
+    fn choose(&mut self, view: &View, culling: &Algorithm) {
+        if matches!(culling, Algorithm::None) {
+            self.visible.clear();
+            self.visible.extend(self.model.object_ids());
+            return;
+        }
         let frustum = Frustum::new(view);
         let in_sight = |bounds: &Aabb| frustum.test_box(bounds) != Containment::Outside;
         let bounds = self.bounds.iter().zip(0u32..);
         self.visible.clear();
         self.visible.extend(bounds.filter(|(b, _)| in_sight(b)).map(|(_, id)| ObjectId(id)));
+    }
+}
+
+#[cfg(feature = "gpu")]
+impl Models {
+    /// Gets the tree and the memory of occlusion culling ready, or drops them.
+    fn prepare_culling(&mut self, algorithm: &Algorithm) {
+        if matches!(algorithm, Algorithm::None | Algorithm::Frustum) {
+            self.culling = None;
+            return;
+        }
+        if let Some(culling) = &mut self.culling {
+            culling.culler.set_algorithm(*algorithm);
+            return;
+        }
+        let triangles = |object| self.model.mesh(object).triangles.len() as u64;
+        let costs: Vec<u64> = self.model.objects.iter().map(triangles).collect();
+        let tree = Bvh::build(&self.bounds, &costs, 1);
+        self.culling = Some(Box::new(ModelCulling { tree, culler: Culler::new(*algorithm) }));
     }
 }
 
@@ -73,6 +119,10 @@ impl Renderer {
         let model = Arc::make_mut(&mut models.model);
         model.objects[object.index()].world_from_mesh = world_from_mesh;
         models.bounds[object.index()] = model.bounds_of(object);
+        #[cfg(feature = "gpu")]
+        if let Some(culling) = &mut models.culling {
+            culling.tree.refit(&[(object, models.bounds[object.index()])]);
+        }
         models.all = models.bounds.iter().fold(Aabb::EMPTY, |all, one| all.union(one));
         match &mut self.device {
             Device::Cpu { meshes, .. } => {
@@ -96,9 +146,11 @@ impl Renderer {
     }
 
     /// Chooses the objects of a frame.
-    pub(super) fn choose_objects(&mut self, view: &View) {
+    pub(super) fn choose_objects(&mut self, view: &View, culling: &Algorithm) {
         let Some(models) = &mut self.models else { return };
-        models.choose(view);
+        models.choose(view, culling);
+        #[cfg(feature = "gpu")]
+        models.prepare_culling(culling);
         self.stats.objects_culled = (models.model.objects.len() - models.visible.len()) as u32;
     }
 

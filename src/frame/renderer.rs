@@ -111,6 +111,7 @@ impl Renderer {
             targets: None,
             finish,
             meshes: None,
+            occlusion: None,
             has_depth: false,
         }));
         Ok(Renderer::new(device, storage))
@@ -357,7 +358,7 @@ impl Renderer {
             self.fill_table(&cuts, view, settings);
             #[cfg(feature = "gpu")]
             self.add_alternative(view, settings);
-            self.choose_objects(view);
+            self.choose_objects(view, &settings.culling);
             self.note_cuts(&cuts);
             cuts.into_iter().for_each(|cut| self.scratch.recycle(cut));
         } else {

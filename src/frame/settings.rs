@@ -8,6 +8,7 @@ use crate::geometry::View;
 use crate::gpu::GpuError;
 use crate::passes::FinishSettings;
 use crate::select::CutSettings;
+use crate::visibility::Algorithm;
 
 /// Why a frame was not drawn.
 #[derive(Debug, thiserror::Error)]
@@ -111,6 +112,9 @@ pub struct FrameSettings {
     /// Over what time a node appears whose points arrive after the scene was first drawn. Default
     /// zero: at once.
     pub appear: Duration,
+    /// How hidden objects of models are found. Default: by the view frustum alone. The CPU renderer
+    /// knows only that, and everything.
+    pub culling: Algorithm,
 }
 
 /// When a frame with a target time may decide half-way what is still drawn.
@@ -137,6 +141,7 @@ impl Default for FrameSettings {
             depth: false,
             appear: Duration::ZERO,
             checkpoint: InFrameCheckpoint::Auto,
+            culling: Algorithm::Frustum,
         }
     }
 }

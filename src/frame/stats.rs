@@ -4,6 +4,7 @@ use serde::Serialize;
 
 use crate::frame::PacingStats;
 use crate::stream::StreamStats;
+use crate::visibility::CullCounters;
 
 /// Counters and times of one frame. Counters repeat on any machine, times do not.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -26,6 +27,9 @@ pub struct FrameStats {
     pub objects_drawn: u32,
     /// Objects of models left out because they are out of sight.
     pub objects_culled: u32,
+    /// What occlusion culling did; absent where the view frustum alone decided.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub culling: Option<CullCounters>,
     /// Triangles of the objects drawn, hidden ones included.
     pub triangles_drawn: u64,
     /// Draw calls.

@@ -256,6 +256,20 @@ gpu_struct! {
     }
 }
 
+gpu_struct! {
+    /// A box relative to the eye, world axes.
+    GpuBox, 32 {
+        /// Corner with the smallest coordinates.
+        low: [f32; 3],
+        /// Unused.
+        padding_0: u32,
+        /// Corner with the largest coordinates.
+        high: [f32; 3],
+        /// Unused.
+        padding_1: u32,
+    }
+}
+
 /// All shared structs.
 pub const STRUCTS: &[StructLayout] = &[
     GpuFrame::LAYOUT,
@@ -266,6 +280,7 @@ pub const STRUCTS: &[StructLayout] = &[
     GpuDispatch::LAYOUT,
     GpuMeshObject::LAYOUT,
     GpuMaterial::LAYOUT,
+    GpuBox::LAYOUT,
 ];
 
 /// WGSL text that declares the shared constants; every shader starts with it.

@@ -25,6 +25,7 @@ const FILES: &[(&str, &str)] = files![
     "fill_gaps",
     "eye_dome",
     "meshes",
+    "occlusion_boxes",
     "shared/structs",
     "shared/scene",
     "shared/splat",

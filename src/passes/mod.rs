@@ -34,6 +34,8 @@ mod mesh_upload;
 #[cfg(feature = "gpu")]
 mod meshes;
 #[cfg(feature = "gpu")]
+mod occlusion;
+#[cfg(feature = "gpu")]
 mod points_bare;
 #[cfg(feature = "gpu")]
 mod points_compute;
@@ -89,6 +91,8 @@ pub use checkpoint::{Checkpoint, Decision};
 pub use finish::Finish;
 #[cfg(feature = "gpu")]
 pub use meshes::{MeshColor, MeshList, MeshOutput, Meshes};
+#[cfg(feature = "gpu")]
+pub use occlusion::{CulledMeshes, OcclusionQueries};
 #[cfg(feature = "gpu")]
 pub use points_bare::PointsBare;
 #[cfg(feature = "gpu")]

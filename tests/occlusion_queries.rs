@@ -1,0 +1,139 @@
+//! Occlusion culling on the device: whatever is asked, the picture stays that of frustum culling,
+//! with models alone and with points before them; and hidden objects are not drawn.
+#![cfg(feature = "gpu")]
+
+#[path = "support/device.rs"]
+mod device;
+#[path = "support/memory_cloud.rs"]
+mod memory_cloud;
+
+use std::sync::Arc;
+
+use device::gpu;
+use esker::frame::{FrameSettings, FrameStats, NodeSource, RasterPath, Renderer};
+use esker::geometry::View;
+use esker::mesh::Model;
+use esker::mesh::scenes::{CameraPath, ModelScene, SceneKind, camera_path};
+use esker::passes::Picture;
+use esker::points::Lattice;
+use esker::visibility::{Algorithm, ChcOptions, ChcPlusOptions, CullingCosts, LateAnswers};
+use glam::{DVec3, UVec3};
+use memory_cloud::MemoryCloud;
+
+const WIDTH: u32 = 320;
+const HEIGHT: u32 = 200;
+
+fn views(scene: &ModelScene, path: CameraPath, frames: u32) -> Vec<View> {
+    let view = |camera| View { camera, width_px: WIDTH, height_px: HEIGHT };
+    camera_path(scene, path, frames).into_iter().map(view).collect()
+}
+
+/// The pictures along views, with what each frame did.
+fn film(
+    model: &Arc<Model>,
+    cloud: Option<&Arc<MemoryCloud>>,
+    views: &[View],
+    culling: Algorithm,
+) -> Vec<(Picture, FrameStats)> {
+    let gpu = gpu().expect("asked before");
+    let mut renderer = Renderer::on_gpu(gpu, RasterPath::Compute, 1 << 28).unwrap();
+    renderer
+        .set_scene(cloud.map(|cloud| cloud.clone() as Arc<dyn NodeSource>).into_iter().collect());
+    renderer.set_model(model.clone());
+    let settings = FrameSettings { culling, ..FrameSettings::default() };
+    let frame = |view: &View| {
+        let stats = renderer.render(view, &settings).unwrap().clone();
+        (renderer.read_picture().unwrap().expect("a frame was drawn"), stats)
+    };
+    views.iter().map(frame).collect()
+}
+
+fn algorithms() -> Vec<Algorithm> {
+    let plus = ChcPlusOptions { seed_first_frame: false, ..ChcPlusOptions::default() };
+    vec![
+        Algorithm::StopAndWait,
+        Algorithm::Chc(ChcOptions { seed_first_frame: false, ..ChcOptions::default() }),
+        Algorithm::Chc(ChcOptions { geometry_queries: true, ..ChcOptions::default() }),
+        Algorithm::ChcPlus(plus),
+        Algorithm::ChcPlus(ChcPlusOptions { late: LateAnswers::Rounds(1), ..plus }),
+        Algorithm::Auto(plus, CullingCosts::default()),
+    ]
+}
+
+fn assert_same(expected: &[(Picture, FrameStats)], found: &[(Picture, FrameStats)], what: &str) {
+    for (frame, (a, b)) in expected.iter().zip(found).enumerate() {
+        let colors = a.0.colors.iter().zip(&b.0.colors).filter(|(a, b)| a != b).count();
+        let depths = a.0.distances.iter().zip(&b.0.distances).filter(|(a, b)| a != b).count();
+        assert_eq!((colors, depths), (0, 0), "{what}, frame {frame}");
+    }
+}
+
+#[test]
+fn culled_pictures_are_those_of_everything_in_view() {
+    if gpu().is_none() {
+        return;
+    }
+    for (kind, size) in [(SceneKind::City, 2), (SceneKind::Rooms, 3), (SceneKind::Window, 60)] {
+        let scene = kind.make(size, 1);
+        let model = Arc::new(scene.model.clone());
+        for path in [CameraPath::Walk, CameraPath::Teleport] {
+            let views = views(&scene, path, 5);
+            let expected = film(&model, None, &views, Algorithm::Frustum);
+            for algorithm in algorithms() {
+                let found = film(&model, None, &views, algorithm);
+                let what = format!("{} {}: {algorithm:?}", kind.name(), path.name());
+                assert_same(&expected, &found, &what);
+            }
+        }
+    }
+}
+
+/// Row A7 on the device: hidden objects are not drawn, and answers are waited for seldom.
+#[test]
+fn hidden_objects_are_not_drawn() {
+    if gpu().is_none() {
+        return;
+    }
+    let scene = SceneKind::City.make(4, 1);
+    let model = Arc::new(scene.model.clone());
+    let views: Vec<View> = views(&scene, CameraPath::Walk, 600)[200..212].to_vec();
+    let frustum = film(&model, None, &views, Algorithm::Frustum);
+    let plus = Algorithm::ChcPlus(ChcPlusOptions::default());
+    let culled = film(&model, None, &views, plus);
+    assert_same(&frustum, &culled, "city");
+    let triangles = |film: &[(Picture, FrameStats)]| -> u64 {
+        film[4..].iter().map(|(_, stats)| stats.triangles_drawn).sum()
+    };
+    assert!(3 * triangles(&culled) < triangles(&frustum));
+    for (_, stats) in &culled[4..] {
+        let counters = stats.culling.expect("culling was at work");
+        assert_eq!(counters.triangles_drawn, stats.triangles_drawn);
+        assert!(counters.queries_issued > 0 && counters.blocking_waits <= 5, "{counters:?}");
+    }
+    assert!(frustum.iter().all(|(_, stats)| stats.culling.is_none()));
+}
+
+/// Points are drawn first: what stands behind them is not drawn.
+#[test]
+fn points_hide_objects() {
+    if gpu().is_none() {
+        return;
+    }
+    let scene = SceneKind::Window.make(60, 1);
+    // The boxes without their wall.
+    let model =
+        Model { objects: scene.model.objects[1..].to_vec(), ..scene.model.clone() };
+    let model = Arc::new(model);
+    // A dense wall of points where the wall was.
+    let step = 0.02;
+    let lattice = Lattice { offset: DVec3::new(-30.0, -0.1, -5.0), scale: DVec3::splat(step) };
+    let wall = (0..3000u32).flat_map(|x| (0..1500u32).map(move |z| (UVec3::new(x, 0, z), 0)));
+    let cloud = Arc::new(MemoryCloud::new(lattice, 12, 3, &wall.collect::<Vec<_>>()));
+    let views = views(&scene, CameraPath::Still, 4);
+    let expected = film(&model, Some(&cloud), &views, Algorithm::Frustum);
+    let chc = Algorithm::ChcPlus(ChcPlusOptions { seed_first_frame: false, ..Default::default() });
+    let found = film(&model, Some(&cloud), &views, chc);
+    assert_same(&expected, &found, "boxes behind points");
+    let (of_all, of_culled) = (expected[0].1.objects_drawn, found[0].1.objects_drawn);
+    assert!(of_all >= 10 && 4 * of_culled < of_all, "{of_culled} of {of_all} objects");
+}

@@ -121,8 +121,7 @@ fn points_hide_objects() {
     }
     let scene = SceneKind::Window.make(60, 1);
     // The boxes without their wall.
-    let model =
-        Model { objects: scene.model.objects[1..].to_vec(), ..scene.model.clone() };
+    let model = Model { objects: scene.model.objects[1..].to_vec(), ..scene.model.clone() };
     let model = Arc::new(model);
     // A dense wall of points where the wall was.
     let step = 0.02;

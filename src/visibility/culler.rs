@@ -220,3 +220,45 @@ impl Culler {
         last.eye.distance(camera.eye) <= far && last.forward.dot(camera.forward) >= TURN_COSINE
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hierarchy::Bvh;
+    use crate::mesh::scenes::{CameraPath, SceneKind, camera_path};
+    use crate::visibility::{ItemBuffer, Latency, ModelLeaves, SoftwareDevice};
+
+    /// Frame numbers start again after four billion frames, and nothing is lost or drawn for good.
+    #[test]
+    fn frame_numbers_wrap_around() {
+        let scene = SceneKind::Window.make(40, 1);
+        let model = &scene.model;
+        let costs = vec![12; model.objects.len()];
+        let tree = Bvh::build(&model.object_bounds(), &costs, 1);
+        let leaves = ModelLeaves { model, tree: &tree };
+        let camera = camera_path(&scene, CameraPath::Still, 1)[0];
+        let view = View { camera, width_px: 120, height_px: 90 };
+        let picture = |algorithm: Algorithm, from: u32| {
+            let mut device = SoftwareDevice::new(leaves, &view, Latency::Batches);
+            let mut culler = Culler::new(algorithm);
+            culler.history.set_frame(from);
+            let mut drawn = Vec::new();
+            for _ in 0..30 {
+                drawn.push(culler.frame(&tree, &view, &mut device).triangles_drawn);
+            }
+            (device.picture().clone(), drawn)
+        };
+        let all = |picture: &ItemBuffer| picture.visible_items();
+        let (expected, _) = picture(Algorithm::Frustum, 0);
+        for algorithm in [
+            Algorithm::Chc(ChcOptions { assume_visible_frames: 3, ..ChcOptions::default() }),
+            Algorithm::ChcPlus(ChcPlusOptions::default()),
+        ] {
+            let (_, usual) = picture(algorithm, 1000);
+            let (found, drawn) = picture(algorithm, u32::MAX - 12);
+            assert_eq!(all(&found), all(&expected));
+            assert_eq!(expected.differing_pixels(&found), 0);
+            assert_eq!(drawn[29], usual[29], "{algorithm:?}: {drawn:?}");
+        }
+    }
+}

@@ -148,7 +148,7 @@ mod tests {
     #[test]
     fn scenes_are_sound_and_repeat() {
         for kind in SceneKind::ALL {
-            let size = kind.usual_size().min(40).max(4) / 2;
+            let size = kind.usual_size().clamp(4, 40) / 2;
             let scene = kind.make(size, 3);
             assert_eq!(scene.model.check(), Ok(()), "{}", kind.name());
             assert!(!scene.model.is_empty() && scene.walk.len() >= 2, "{}", kind.name());

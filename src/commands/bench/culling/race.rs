@@ -2,10 +2,10 @@
 
 use std::time::{Duration, Instant};
 
-use crate::geometry::View;
+use crate::geometry::{Camera, View};
 use crate::hierarchy::{BoundingHierarchy, Bvh};
 use crate::mesh::Model;
-use crate::mesh::scenes::{CameraPath, SceneKind, camera_path};
+use crate::mesh::scenes::{CameraPath, ModelScene, SceneKind, camera_path};
 use crate::visibility::{
     Algorithm, CullCounters, Culler, CullingCosts, Latency, ModelLeaves, SoftwareDevice,
     hidden_frontier,
@@ -47,6 +47,21 @@ pub(super) fn tree_over(model: &Model) -> Bvh {
     Bvh::build(&model.object_bounds(), &costs, 1)
 }
 
+/// Metres between two frames of a walk: 6 m/s at 60 frames a second.
+const WALK_STEP: f64 = 0.1;
+
+/// The cameras of a course. A walk is a steady piece from the middle of the scene's walk; the other
+/// paths are whole.
+fn cameras(scene: &ModelScene, path: CameraPath, frames: u32) -> Vec<Camera> {
+    if path != CameraPath::Walk {
+        return camera_path(scene, path, frames);
+    }
+    let length: f64 = scene.walk.windows(2).map(|pair| pair[0].distance(pair[1])).sum();
+    let all = ((length / WALK_STEP) as u32).max(frames);
+    let first = ((all - frames) / 2) as usize;
+    camera_path(scene, path, all)[first..first + frames as usize].to_vec()
+}
+
 impl Race {
     /// Runs all methods, frame by frame beside each other. The first is taken as frustum culling.
     pub fn run(
@@ -59,7 +74,7 @@ impl Race {
         let scene = kind.make(extent.scene_size(kind), 1);
         let tree = tree_over(&scene.model);
         let leaves = ModelLeaves { model: &scene.model, tree: &tree };
-        let views: Vec<View> = camera_path(&scene, path, extent.frames)
+        let views: Vec<View> = cameras(&scene, path, extent.frames)
             .into_iter()
             .map(|camera| View { camera, width_px: extent.width, height_px: extent.height })
             .collect();

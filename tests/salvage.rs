@@ -85,6 +85,60 @@ fn a_damaged_chunk_costs_itself_only() {
     assert_eq!(report.dropped_points, block.points);
 }
 
+/// A row of text that cannot be read costs itself only, and so does an end that comes too early.
+fn tables_of_text() {
+    let rows = |count: usize| -> String {
+        let row = |i| match i {
+            300 => "12 1.5 \u{1}3\n".to_string(),
+            i => format!("{i} {}.5 -1\n", 2 * i),
+        };
+        (0..count).map(row).collect()
+    };
+    let ply = "ply\nformat ascii 1.0\nelement vertex 1000\nproperty float x\n\
+               property float y\nproperty float z\nend_header\n";
+    let pcd = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n\
+               WIDTH 1000\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 1000\nDATA ascii\n";
+    for (name, head) in [("text.ply", ply), ("text.pcd", pcd)] {
+        for (count, kept) in [(1000, 999), (700, 699)] {
+            let report = salvaged(name, format!("{head}{}", rows(count)).as_bytes());
+            assert_eq!((report.points, report.dropped_points), (kept, 1000 - kept), "{name}");
+            assert_account(name, &report, 1000);
+        }
+    }
+}
+
+/// What is decompressed before the damage counts: coordinates first, zeros for what is lost.
+fn compressed_columns() {
+    let column = |scale: f32| (0..1000).flat_map(move |i| (scale * i as f32).to_le_bytes());
+    let raw: Vec<u8> = [1.0, 2.0, 0.25, 7.0].into_iter().flat_map(column).collect();
+    let literals = |part: &[u8]| [&[part.len() as u8 - 1], part].concat();
+    let packed: Vec<u8> = raw.chunks(32).flat_map(literals).collect();
+    let head = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\n\
+                COUNT 1 1 1 1\nWIDTH 1000\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 1000\n\
+                DATA binary_compressed\n";
+    let file = |bytes: usize, is_cut: bool| {
+        let mut data = packed.clone();
+        match is_cut {
+            true => data.truncate(bytes / 32 * 33),
+            // A reference before the first byte.
+            false => data[bytes / 32 * 33..].fill(0xff),
+        }
+        let sizes = [packed.len() as u32, raw.len() as u32].map(u32::to_le_bytes).concat();
+        [head.as_bytes(), &sizes, &data].concat()
+    };
+    // All coordinates, and half of the intensities.
+    let report = salvaged("columns.pcd", &file(14_016, true));
+    assert_eq!((report.points, report.dropped_points), (1000, 0));
+    assert!(report.warnings[0].contains("intensity from point 504 on"), "{:?}", report.warnings);
+    // Up to the z of a point in the middle.
+    let report = salvaged("columns.pcd", &file(8_000 + 4 * 560, true));
+    assert_eq!((report.points, report.dropped_points), (560, 440));
+    assert_account("columns.pcd", &report, 1000);
+    let report = salvaged("columns.pcd", &file(8_000 + 4 * 560, false));
+    assert!((560..600).contains(&report.points), "{}", report.points);
+    assert_account("columns.pcd", &report, 1000);
+}
+
 #[test]
 fn tables_and_e57_files_give_what_is_whole() {
     let rows: Vec<u8> = (0..1000)
@@ -100,6 +154,8 @@ fn tables_and_e57_files_give_what_is_whole() {
         assert_eq!((report.points, report.dropped_points), (700, 300), "{name}");
         assert_account(name, &report, 1000);
     }
+    tables_of_text();
+    compressed_columns();
     let name = "bunnyFloat.e57";
     let Some(mut bytes) = shared(name) else { return };
     let page = 1024 * (bytes.len() / 1024 / 2);

@@ -81,13 +81,13 @@ pub fn run(args: ConvertArgs) -> anyhow::Result<ExitCode> {
     let files = inputs::expand(&args.inputs)?;
     let mut options = ConvertOptions {
         threads: args.threads,
-        temp_dir: args.temp_dir,
+        temp_dir: args.temp_dir.clone(),
         overwrite: args.overwrite,
         depth: args.depth.unwrap_or(0),
         threshold: args.threshold,
         representative: args.representative,
         checkpoint_every: Duration::from_secs_f64(args.checkpoint_seconds),
-        read: ReadOptions { columns: args.columns, salvage: args.salvage },
+        read: ReadOptions { columns: args.columns, salvage: args.salvage, temp_dir: args.temp_dir },
         ..ConvertOptions::default()
     };
     if let Some(memory) = args.memory {

@@ -6,7 +6,7 @@
 //! signature stand before those that are guessed.
 
 use std::fs::File;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::error::{LasError, LasFault};
 use super::foreign::{ForeignFault, ForeignReader};
@@ -44,6 +44,9 @@ pub struct ReadOptions {
     pub columns: Option<String>,
     /// Take what can be read of a damaged file, and count the rest, instead of refusing it.
     pub salvage: bool,
+    /// Where points wait that must be decompressed as a whole and are many; the system's folder for
+    /// temporary files if not set.
+    pub temp_dir: Option<PathBuf>,
 }
 
 /// The first bytes of a file and the end of its name.

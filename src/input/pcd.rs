@@ -37,7 +37,7 @@ pub(super) fn open(
 ) -> Result<Box<dyn ForeignReader>, ForeignFault> {
     let header = Header::read(&file)?;
     let declared = header.fields.iter().map(|field| (field.name.as_str(), field.scalar));
-    let facts = TableFacts {
+    let mut facts = TableFacts {
         format: header.encoding.name().to_string(),
         is_single: is_single(declared),
         part: ScanPart { name: None, pose: header.pose, points: 0 },
@@ -53,7 +53,11 @@ pub(super) fn open(
                 header.fields.iter().cloned().map(AsciiEntry::Field).collect();
             let plan = RowPlan::new(&AsciiRows::packed_fields(&entries), true)?;
             let at = (start, header.lines + 1);
-            open_table(AsciiRows::new(file, at, 0, points, &entries, &plan)?, plan, facts)
+            open_table(
+                AsciiRows::new(file, at, 0, points, &entries, &plan, options.salvage)?,
+                plan,
+                facts,
+            )
         }
         Encoding::Binary => {
             let plan = RowPlan::new(&header.fields, true)?;
@@ -63,7 +67,9 @@ pub(super) fn open(
         }
         Encoding::Compressed => {
             let plan = RowPlan::new(&header.fields, true)?;
-            open_table(ColumnRows::new(&file, start, points, &header.fields)?, plan, facts)
+            let rows = ColumnRows::new(&file, start, points, &header.fields, options)?;
+            facts.warnings.extend(rows.zeros());
+            open_table(rows, plan, facts)
         }
     }
 }

@@ -53,7 +53,8 @@ pub(super) fn open(
     if header.encoding == Encoding::Ascii {
         let skipped = before.iter().map(|element| element.count).fold(0, u64::saturating_add);
         let start = (header.bytes, header.lines + 1);
-        let rows = AsciiRows::new(file, start, skipped, cloud.count, &entries, &plan)?;
+        let rows =
+            AsciiRows::new(file, start, skipped, cloud.count, &entries, &plan, options.salvage)?;
         return open_table(rows, plan, facts);
     }
     let start = listed::pass_over(&file, header.bytes, before, swaps)?;

@@ -13,11 +13,12 @@ use glam::UVec3;
 use crate::geometry::MortonKey;
 use crate::ids::NodeId;
 use crate::store::bytes::StoreBytes;
+use crate::store::ending::{EndParts, write_end};
 use crate::store::header::{HEADER_BYTES, Header};
 use crate::store::metadata::Metadata;
+use crate::store::part_file::lock_at_once;
 use crate::store::writer::{
-    AppendixPart, EncodedNode, EndParts, NodeRow, PlacedNode, WriteHook, io_error, is_coarse,
-    lock_at_once, write_end,
+    AppendixPart, EncodedNode, NodeRow, PlacedNode, WriteHook, io_error, is_coarse,
 };
 use crate::store::{Store, StoreError};
 

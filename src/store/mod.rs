@@ -11,12 +11,16 @@ mod check;
 mod codec;
 mod directory;
 mod early_sync;
+mod ending;
 mod error;
 mod fetched;
 mod header;
 mod metadata;
+mod part_file;
+mod places;
 mod reader;
 mod records;
+mod sections;
 mod writer;
 
 pub use append::StoreAppender;
@@ -32,9 +36,7 @@ pub use metadata::{
     CrsInfo, DroppedPoints, Metadata, NARROW_BITS, PoseInfo, Section, SectionContent, SkippedItems,
     SourceInfo, ValueRange, position_shape, sections_for,
 };
+pub use part_file::{lock_at_once, remove_dead_part};
 pub use reader::{Store, is_store};
 pub use records::RecordError;
-pub use writer::{
-    AppendixPart, EncodedNode, NodeRow, StoreWriter, WriteHook, WriterState, lock_at_once,
-    remove_dead_part,
-};
+pub use writer::{AppendixPart, EncodedNode, NodeRow, StoreWriter, WriteHook, WriterState};

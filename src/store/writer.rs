@@ -5,11 +5,8 @@
 //! depends on nothing but the points, and the bytes then do, too. Coarse nodes are held back and
 //! written last, beside the directory: one read shows the whole cloud.
 
-use std::collections::HashMap;
-use std::fs::{File, OpenOptions, TryLockError};
-use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::io::{self, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 use glam::UVec3;
 use serde::{Deserialize, Serialize};
@@ -20,10 +17,12 @@ use crate::store::StoreError;
 use crate::store::blocks::SectionWriter;
 use crate::store::bytes::StoreBytes;
 use crate::store::codec::{CodecScratch, ElementShape};
-use crate::store::directory::{Row, Rows, SectionExtent};
+use crate::store::directory::SectionExtent;
 use crate::store::early_sync::EarlySync;
-use crate::store::header::{HEADER_BYTES, Header, PartExtent, VERSION};
+use crate::store::ending::{EndParts, write_end};
+use crate::store::header::HEADER_BYTES;
 use crate::store::metadata::Metadata;
+use crate::store::part_file::{PartFile, part_path};
 
 /// What the directory says of a node, but for where its data is.
 #[derive(Clone, Debug)]
@@ -346,197 +345,4 @@ impl PlacedNode {
 
 pub(super) fn io_error(action: &'static str, path: &Path) -> impl Fn(io::Error) -> StoreError {
     move |source| StoreError::Io { action, source, path: path.to_path_buf() }
-}
-
-/// What stands behind the node data.
-pub(super) struct EndParts<'a> {
-    /// What the store says of itself.
-    pub metadata: &'a Metadata,
-    /// Records of the source files.
-    pub appendix: &'a [AppendixPart],
-    /// Where the coarse nodes start.
-    pub coarse_start: u64,
-    /// Bytes of all nodes.
-    pub data_bytes: u64,
-    /// Of the header.
-    pub generation: u32,
-}
-
-/// Writes metadata, directory and appendix from `start` on, where the file's cursor is; nodes stand
-/// in the order of rows. Returns the header that makes them the store's.
-pub(super) fn write_end(
-    mut file: &File,
-    start: u64,
-    nodes: &[&PlacedNode],
-    parts: &EndParts,
-    before_write: WriteHook,
-) -> io::Result<Header> {
-    let metadata_bytes = serde_json::to_vec(parts.metadata)?;
-    let directory = directory_bytes(nodes, parts.metadata);
-    let part = |offset: u64, bytes: &[u8]| PartExtent {
-        offset,
-        bytes: bytes.len() as u64,
-        checksum: crc32c::crc32c(bytes),
-    };
-    let metadata = part(start, &metadata_bytes);
-    let directory_part = part(metadata.offset + metadata.bytes, &directory);
-    let appendix_offset = directory_part.offset + directory_part.bytes;
-    before_write()?;
-    file.write_all(&metadata_bytes)?;
-    file.write_all(&directory)?;
-    let (appendix_bytes, checksum) = copy_appendix(parts.appendix, &mut file)?;
-    Ok(Header {
-        version: VERSION,
-        generation: parts.generation,
-        file_bytes: appendix_offset + appendix_bytes,
-        metadata,
-        directory: directory_part,
-        node_count: nodes.len() as u32,
-        appendix: PartExtent { offset: appendix_offset, bytes: appendix_bytes, checksum },
-        data_offset: parts.coarse_start,
-        data_bytes: parts.data_bytes,
-        point_count: parts.metadata.points,
-    })
-}
-
-/// All rows; nodes stand in their order.
-fn directory_bytes(nodes: &[&PlacedNode], metadata: &Metadata) -> Vec<u8> {
-    let place = |node: &PlacedNode| (node.row.depth, node.row.cell);
-    let index: HashMap<(u32, UVec3), usize> =
-        nodes.iter().enumerate().map(|(i, &node)| (place(node), i)).collect();
-    let mut masks = vec![0u8; nodes.len()];
-    for NodeRow { depth, cell, .. } in nodes.iter().map(|node| &node.row).filter(|r| r.depth > 0) {
-        let parent = index.get(&(depth - 1, cell / 2)).expect("a node's parent is written with it");
-        masks[*parent] |= 1 << (cell.x & 1 | (cell.y & 1) << 1 | (cell.z & 1) << 2);
-    }
-    let section_count = metadata.sections.len();
-    let shape = Rows { version: VERSION, depth: metadata.depth, section_count };
-    let mut rows = Vec::with_capacity(nodes.len() * shape.row_bytes());
-    for (&PlacedNode { row, sections, offset }, child_mask) in nodes.iter().zip(masks) {
-        let row = Row {
-            depth: row.depth,
-            cell: row.cell,
-            child_mask,
-            tight: row.tight,
-            offset: *offset,
-            totals: row.levels.totals(),
-            sections,
-        };
-        shape.encode(row, &mut rows);
-    }
-    rows
-}
-
-/// Copies all parts; returns the length and the checksum of what was written.
-fn copy_appendix(parts: &[AppendixPart], out: &mut impl Write) -> io::Result<(u64, u32)> {
-    let (mut written, mut checksum) = (0, 0);
-    let mut put = |bytes: &[u8]| {
-        checksum = crc32c::crc32c_append(checksum, bytes);
-        written += bytes.len() as u64;
-        out.write_all(bytes)
-    };
-    for part in parts {
-        match part {
-            AppendixPart::Bytes(bytes) => put(bytes)?,
-            AppendixPart::FileRange { path, offset, bytes } => {
-                let mut file = File::open(path)?;
-                file.seek(SeekFrom::Start(*offset))?;
-                let mut left = *bytes;
-                let mut buffer = vec![0; left.min(1 << 20) as usize];
-                while left > 0 {
-                    let piece = &mut buffer[..left.min(1 << 20) as usize];
-                    file.read_exact(piece)?;
-                    put(piece)?;
-                    left -= piece.len() as u64;
-                }
-            }
-        }
-    }
-    Ok((written, checksum))
-}
-
-/// Locks a file, or says that another process has it.
-pub fn lock_at_once(file: &File) -> io::Result<()> {
-    file.try_lock().map_err(|error| match error {
-        TryLockError::WouldBlock => {
-            io::Error::new(io::ErrorKind::ResourceBusy, "another process is using it")
-        }
-        TryLockError::Error(error) => error,
-    })
-}
-
-/// Removes what a killed run may have left beside a destination.
-pub fn remove_dead_part(destination: &Path) {
-    if let Some(path) = part_path(destination) {
-        // If someone is writing it, it is not dead.
-        let _ = PartFile::remove_dead(&path);
-    }
-}
-
-fn part_path(destination: &Path) -> Option<PathBuf> {
-    let name = destination.file_name()?.to_string_lossy();
-    Some(destination.with_file_name(format!(".{name}.part")))
-}
-
-/// A file being written beside its destination. Its name follows from the destination's, so that
-/// what a killed run left is found, to go on with or to remove; a lock keeps two runs apart.
-struct PartFile {
-    file: File,
-    path: PathBuf,
-}
-
-impl PartFile {
-    fn create(destination: &Path) -> io::Result<Self> {
-        let path = part_path(destination).ok_or(io::ErrorKind::InvalidInput)?;
-        // What a killed run left may be a second name of the destination: never written to.
-        PartFile::remove_dead(&path)?;
-        let mut file = OpenOptions::new().create_new(true).read(true).write(true).open(&path)?;
-        file.lock()?;
-        file.write_all(&[0; HEADER_BYTES])?;
-        Ok(PartFile { file, path })
-    }
-
-    /// The file that a killed run left, cut to what is known to be right.
-    fn resume(destination: &Path, bytes: u64) -> io::Result<Self> {
-        let path = part_path(destination).ok_or(io::ErrorKind::InvalidInput)?;
-        let mut file = OpenOptions::new().read(true).write(true).open(&path)?;
-        lock_at_once(&file)?;
-        if file.metadata()?.len() < bytes {
-            return Err(io::ErrorKind::UnexpectedEof.into());
-        }
-        file.set_len(bytes)?;
-        file.seek(SeekFrom::Start(bytes))?;
-        Ok(PartFile { file, path })
-    }
-
-    /// Removes a file that no living process is writing.
-    fn remove_dead(path: &Path) -> io::Result<()> {
-        let file = match OpenOptions::new().write(true).open(path) {
-            Ok(file) => file,
-            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
-            Err(error) => return Err(error),
-        };
-        // A process that is being started somewhere in this program has all its files for a moment.
-        let mut tries = (1..20).map(|_| std::thread::sleep(Duration::from_millis(5)));
-        while let Err(error) = lock_at_once(&file) {
-            if tries.next().is_none() {
-                return Err(error);
-            }
-        }
-        std::fs::remove_file(path)
-    }
-
-    /// Gives the file its name, which nothing else may have unless `overwrite`.
-    fn rename(self, destination: &Path, overwrite: bool) -> io::Result<()> {
-        if overwrite {
-            return std::fs::rename(&self.path, destination);
-        }
-        match std::fs::hard_link(&self.path, destination) {
-            Ok(()) => std::fs::remove_file(&self.path),
-            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Err(error),
-            // Not every file system has links.
-            Err(_) if destination.exists() => Err(io::ErrorKind::AlreadyExists.into()),
-            Err(_) => std::fs::rename(&self.path, destination),
-        }
-    }
 }

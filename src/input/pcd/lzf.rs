@@ -62,7 +62,7 @@ impl Input<'_> {
 }
 
 /// Decompresses a part of a file, which the caller has checked to lie in it, into exactly
-/// `expected` bytes, handed out in pieces.
+/// `expected` bytes, handed out in pieces. What stands before damage is handed out, too.
 pub fn decompress(
     file: &PositionedFile,
     start: u64,
@@ -75,28 +75,34 @@ pub fn decompress(
     // Bytes that were handed out stay in front as far as references reach.
     let mut output: Vec<u8> = Vec::with_capacity(FLUSH_BYTES + 2 * REACH_BYTES);
     let (mut handed_out, mut total) = (0, 0u64);
+    let step = |input: &mut Input, output: &mut Vec<u8>| -> Result<(), ForeignFault> {
+        let control = input.byte()?;
+        if control < 32 {
+            return input.copy(control + 1, output);
+        }
+        let mut length = control >> 5;
+        if length == 7 {
+            length += input.byte()?;
+        }
+        let distance = ((control & 0x1f) << 8 | input.byte()?) + 1;
+        if distance > output.len() {
+            let reason = format!("a reference {distance} bytes back, before the first");
+            return Err(ForeignFault::at_byte(input.place(), reason));
+        }
+        // The reference may run into what it writes.
+        for from in output.len() - distance..output.len() - distance + length + 2 {
+            output.push(output[from]);
+        }
+        Ok(())
+    };
     while total + (output.len() - handed_out) as u64 != expected {
         if total + (output.len() - handed_out) as u64 > expected {
             let reason = format!("the points decompress to more than {expected} bytes");
             return Err(ForeignFault::at_byte(input.place(), reason));
         }
-        let control = input.byte()?;
-        if control < 32 {
-            input.copy(control + 1, &mut output)?;
-        } else {
-            let mut length = control >> 5;
-            if length == 7 {
-                length += input.byte()?;
-            }
-            let distance = ((control & 0x1f) << 8 | input.byte()?) + 1;
-            if distance > output.len() {
-                let reason = format!("a reference {distance} bytes back, before the first");
-                return Err(ForeignFault::at_byte(input.place(), reason));
-            }
-            // The reference may run into what it writes.
-            for from in output.len() - distance..output.len() - distance + length + 2 {
-                output.push(output[from]);
-            }
+        if let Err(fault) = step(&mut input, &mut output) {
+            take(&output[handed_out..])?;
+            return Err(fault);
         }
         if output.len() - handed_out >= FLUSH_BYTES {
             take(&output[handed_out..])?;

@@ -5,6 +5,7 @@
 //! declared type.
 
 use std::ops::Range;
+use std::sync::Mutex;
 
 use super::plan::{Field, RowPlan};
 use super::reader::Rows;
@@ -43,6 +44,10 @@ pub struct AsciiRows {
     words: Vec<Word>,
     row_bytes: usize,
     blocks: Vec<Lines>,
+    /// Whether rows that cannot be read are left out.
+    salvages: bool,
+    /// The first such row's line, and what is wrong with it.
+    left_out: Mutex<Option<(u64, ForeignFault)>>,
 }
 
 /// An entry of a declared row.
@@ -68,7 +73,8 @@ impl AsciiRows {
     }
 
     /// Finds the lines of `rows` rows that start at a byte, which is in line `first_line`, after
-    /// `skipped` further lines. Blank lines do not count.
+    /// `skipped` further lines. Blank lines do not count. If it `salvages`, rows that are missing
+    /// or cannot be read are left out.
     pub fn new(
         file: PositionedFile,
         (start, first_line): (u64, u64),
@@ -76,6 +82,7 @@ impl AsciiRows {
         rows: u64,
         entries: &[Entry],
         plan: &RowPlan,
+        salvages: bool,
     ) -> Result<Self, ForeignFault> {
         let words = entries.iter().flat_map(|entry| match entry {
             Entry::List => vec![Word::List],
@@ -87,7 +94,7 @@ impl AsciiRows {
         finder.pass(skipped, |_, _| {})?;
         let mut blocks: Vec<Lines> = Vec::new();
         let mut rows_in_block = MOST_BLOCK_ROWS;
-        finder.pass(rows, |line, bytes| match blocks.last_mut() {
+        let outcome = finder.pass(rows, |line, bytes| match blocks.last_mut() {
             Some(block)
                 if rows_in_block < MOST_BLOCK_ROWS
                     && bytes.end - block.bytes.start <= PIECE_BYTES as u64 =>
@@ -99,8 +106,22 @@ impl AsciiRows {
                 blocks.push(Lines { bytes, first_line: line });
                 rows_in_block = 1;
             }
-        })?;
-        Ok(AsciiRows { words, row_bytes: plan.row_bytes, blocks, file })
+        });
+        let left_out = match outcome {
+            Ok(()) => None,
+            Err(fault) if salvages => Some((finder.line, fault)),
+            Err(fault) => return Err(fault),
+        };
+        let (row_bytes, left_out) = (plan.row_bytes, Mutex::new(left_out));
+        Ok(AsciiRows { words, row_bytes, blocks, file, salvages, left_out })
+    }
+
+    /// Remembers the first row that is left out.
+    fn leave_out(&self, line: u64, fault: ForeignFault) {
+        let mut first = self.left_out.lock().expect("no holder of the lock panics");
+        if first.as_ref().is_none_or(|(before, _)| line < *before) {
+            *first = Some((line, fault));
+        }
     }
 
     fn read_line(
@@ -153,11 +174,24 @@ impl Rows for AsciiRows {
             if text.iter().all(u8::is_ascii_whitespace) {
                 continue;
             }
-            self.read_line(text, packed, &mut digits)
-                .map_err(|reason| ForeignFault::at_line(line, reason))?;
+            let (length, digits_before) = (packed.len(), digits);
+            if let Err(reason) = self.read_line(text, packed, &mut digits) {
+                let fault = ForeignFault::at_line(line, reason);
+                if !self.salvages {
+                    return Err(fault);
+                }
+                packed.truncate(length);
+                digits = digits_before;
+                self.leave_out(line, fault);
+            }
         }
         debug_assert!(packed.len().is_multiple_of(self.row_bytes));
         Ok(digits)
+    }
+
+    fn left_out(&self) -> Option<ForeignFault> {
+        let mut first = self.left_out.lock().expect("no holder of the lock panics");
+        first.take().map(|(_, fault)| fault)
     }
 }
 

@@ -22,6 +22,12 @@ pub trait Rows: Debug + Send + Sync {
     /// Replaces `packed` by the rows of a block. Returns the most digits after the point among its
     /// coordinates, and nothing where they are not decimal text or one has very many.
     fn read(&self, block: usize, packed: &mut Vec<u8>) -> Result<Option<u32>, ForeignFault>;
+
+    /// What is wrong with the first of the rows that were left out so far, which only happens where
+    /// damaged ones are to be.
+    fn left_out(&self) -> Option<ForeignFault> {
+        None
+    }
 }
 
 /// What one look at a block tells.
@@ -118,6 +124,7 @@ impl<R: Rows> TableReader<R> {
             bounds = bounds.map(nearest);
         }
         let lost = table.salvaged.map_or(0, |claimed| claimed.saturating_sub(total));
+        let fault = rows.left_out().or(fault);
         let reason = fault.map_or("the file ends before them".into(), |fault| fault.to_string());
         let unread = Unread { part: 0, reason, points: lost };
         let facts = ForeignFacts {

@@ -116,26 +116,18 @@ fn compressed_columns() {
     let head = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\n\
                 COUNT 1 1 1 1\nWIDTH 1000\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 1000\n\
                 DATA binary_compressed\n";
-    let file = |bytes: usize, is_cut: bool| {
-        let mut data = packed.clone();
-        match is_cut {
-            true => data.truncate(bytes / 32 * 33),
-            // A reference before the first byte.
-            false => data[bytes / 32 * 33..].fill(0xff),
-        }
+    let file = |bytes: usize| {
+        let data = &packed[..bytes / 32 * 33];
         let sizes = [packed.len() as u32, raw.len() as u32].map(u32::to_le_bytes).concat();
-        [head.as_bytes(), &sizes, &data].concat()
+        [head.as_bytes(), &sizes, data].concat()
     };
     // All coordinates, and half of the intensities.
-    let report = salvaged("columns.pcd", &file(14_016, true));
+    let report = salvaged("columns.pcd", &file(14_016));
     assert_eq!((report.points, report.dropped_points), (1000, 0));
     assert!(report.warnings[0].contains("intensity from point 504 on"), "{:?}", report.warnings);
     // Up to the z of a point in the middle.
-    let report = salvaged("columns.pcd", &file(8_000 + 4 * 560, true));
+    let report = salvaged("columns.pcd", &file(8_000 + 4 * 560));
     assert_eq!((report.points, report.dropped_points), (560, 440));
-    assert_account("columns.pcd", &report, 1000);
-    let report = salvaged("columns.pcd", &file(8_000 + 4 * 560, false));
-    assert!((560..600).contains(&report.points), "{}", report.points);
     assert_account("columns.pcd", &report, 1000);
 }
 

@@ -98,6 +98,7 @@ pub fn decompress(
     while total + (output.len() - handed_out) as u64 != expected {
         if total + (output.len() - handed_out) as u64 > expected {
             let reason = format!("the points decompress to more than {expected} bytes");
+            take(&output[handed_out..])?;
             return Err(ForeignFault::at_byte(input.place(), reason));
         }
         if let Err(fault) = step(&mut input, &mut output) {

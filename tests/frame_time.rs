@@ -198,8 +198,9 @@ fn frames_are_measured_without_waiting_for_them() {
     }
     // Software drivers do not survive the end of a process that they still draw in.
     gpu.wait().expect("it ends");
-    // Without a clock that can be trusted, one frame in eight is waited for.
-    let allowed = if gpu.has_timestamps() && !gpu.is_software() { 0 } else { 50 / 8 + 1 };
+    // Without a clock that can be trusted, one frame in eight is waited for, and the one before
+    // it.
+    let allowed = if gpu.has_timestamps() && !gpu.is_software() { 0 } else { 2 * (50 / 8 + 1) };
     assert!(waits <= allowed, "{waits} waits in 50 frames");
     assert!(last.frames_learned + last.frames_together > 0, "{last:?}");
     assert!(last.checked_measured_ms.is_some_and(|ms| ms > 0.0), "{last:?}");

@@ -148,6 +148,30 @@ fn a_first_picture_takes_three_reads_and_four_megabytes() {
     }
 }
 
+/// Where the coarse nodes are too many for the first picture, the coarsest come alone, in a third
+/// read, and no more bytes than were allowed.
+#[test]
+fn of_many_coarse_nodes_the_coarsest_come_first() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = store_of(folder.path(), 200_000);
+    let columns = [SectionContent::Positions, SectionContent::Color];
+    let is_at_hand = |store: &Store, node| store.fetches_from_memory(NodeId(node), &columns);
+    let all = Store::open_with_coarse(&path, FIRST_PICTURE_BYTES).expect("a store");
+    assert!(is_at_hand(&all, 0) && is_at_hand(&all, 1) && all.reads() == 2);
+    let none = Store::open(&path).expect("a store");
+    assert!(!is_at_hand(&none, 0) && none.reads() == 2);
+    let allowed = none.bytes_read() + none.fetch_bytes(NodeId::ROOT, &columns) * 2;
+    let some = Store::open_with_coarse(&path, allowed).expect("a store");
+    assert!(is_at_hand(&some, 0), "the root");
+    let nodes = some.octree().nodes().len() as u32;
+    assert!((1..nodes).any(|node| is_at_hand(&all, node) && !is_at_hand(&some, node)));
+    assert!(some.reads() == 3 && some.bytes_read() <= allowed + 4_096, "{}", some.bytes_read());
+    let (mut expected, mut words) = (Vec::new(), Vec::new());
+    none.read_positions(NodeId::ROOT, &mut expected).expect("it reads");
+    some.read_positions(NodeId::ROOT, &mut words).expect("it reads");
+    assert!(words == expected && some.reads() == 3, "from memory, the same");
+}
+
 /// Columns that stand side by side come in one read, and unpacking reads nothing.
 #[test]
 fn a_node_is_one_read() {

@@ -141,6 +141,7 @@ impl Renderer {
             return Ok(None);
         };
         self.calibrate_if_needed(view)?;
+        self.drain_before_sync()?;
         self.learn();
         let waits = self.waits();
         let Some(mut pacer) = self.pacer.take() else { return Ok(None) };
@@ -197,6 +198,19 @@ impl Renderer {
         pacer.waits_before = waits;
         self.pacer = Some(pacer);
         Ok(Some(paced))
+    }
+
+    /// Before a frame that will be waited for: waits for those before it, whose work would count
+    /// as this one's.
+    fn drain_before_sync(&mut self) -> Result<(), FrameError> {
+        #[cfg(feature = "gpu")]
+        if let (Some(pacer), Device::Gpu(on_gpu)) = (&self.pacer, &self.device)
+            && !on_gpu.has_true_clock()
+            && (pacer.frames + 1).is_multiple_of(SYNC_EVERY)
+        {
+            on_gpu.gpu.wait()?;
+        }
+        Ok(())
     }
 
     /// After the cuts are chosen: what they are expected to take.

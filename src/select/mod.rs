@@ -7,6 +7,7 @@
 mod cut;
 mod level;
 mod splat;
+mod walk;
 
 pub use cut::{
     AllResident, Availability, Cut, CutCounters, CutScratch, CutSettings, DrawNode, Request,

@@ -50,7 +50,8 @@ impl Store {
     }
 
     /// Opens a store and, in the same read as its directory, the coarse nodes beside it, if these
-    /// have at most `coarse_bytes`. They stay in memory, so a first picture needs no more reads.
+    /// have at most `coarse_bytes`; else, in another read, the first of them, so that directory and
+    /// nodes have as many. They stay in memory, so a first picture needs no more reads.
     pub fn open_with_coarse(path: &Path, coarse_bytes: u64) -> Result<Store, StoreError> {
         let io_error =
             |action| move |source| StoreError::Io { action, source, path: path.to_path_buf() };
@@ -177,10 +178,22 @@ impl Store {
             );
             return Err(of_directory(reason));
         }
-        let read = head_bytes + front.len() as u64;
+        let mut read = head_bytes + front.len() as u64;
+        let mut reads = 2;
         let coarse = if header.version == 1 { 0 } else { header.metadata.offset - first };
+        let mut coarse_first = first;
+        let left_bytes = coarse_bytes.saturating_sub(front.len() as u64);
         front.truncate(coarse as usize);
         front.shrink_to_fit();
+        if coarse == 0 && header.version != 1 && left_bytes > 0 {
+            // Not all of them fit: the first of them, which are the coarsest, in another read.
+            let all_bytes = header.metadata.offset - header.data_offset;
+            front = vec![0; left_bytes.min(all_bytes) as usize];
+            coarse_first = header.data_offset;
+            bytes.read_exact_at(&mut front, coarse_first).map_err(io_error("cannot read"))?;
+            read += front.len() as u64;
+            reads += u64::from(!front.is_empty());
+        }
         Ok(Store {
             path: path.into(),
             bytes,
@@ -189,9 +202,9 @@ impl Store {
             octree,
             extents,
             node_offsets,
-            coarse: (first, front),
+            coarse: (coarse_first, front),
             bytes_read: AtomicU64::new(read),
-            reads: AtomicU64::new(2),
+            reads: AtomicU64::new(reads),
         })
     }
 

@@ -22,6 +22,7 @@ use crate::viewer::models::{self, OpenedModel};
 use crate::viewer::opening::{Advance, KeptIn, Opened, OpenedFile, Opening, OpeningOptions};
 use crate::viewer::panels::{self, FileAction, Notice};
 use crate::viewer::statistics::{Milestone, Statistics};
+use crate::viewer::statistics_box;
 use crate::viewer::{CameraControl, DragKind};
 
 /// What the viewer is told at its start.
@@ -469,7 +470,7 @@ impl Viewer {
                 ui.painter().image(texture, rect, whole, Color32::WHITE);
             }
             if self.shows_statistics {
-                panels::statistics(&ctx, rect, &self.statistics());
+                statistics_box::show(&ctx, rect, &self.statistics());
             }
         }
         if ctx.input(|input| !input.raw.hovered_files.is_empty()) {

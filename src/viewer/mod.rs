@@ -15,6 +15,7 @@ mod opening;
 mod panels;
 mod preview;
 mod statistics;
+mod statistics_box;
 mod window;
 
 pub use app::{Viewer, ViewerOptions, first_settings};

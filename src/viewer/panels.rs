@@ -1,4 +1,4 @@
-//! The panel beside the picture and what lies over it: settings, files, statistics, keys, progress.
+//! The panel beside the picture and what lies over it: settings, files, keys, progress.
 //!
 //! Each function shows one thing from the data it is given and says what was asked for; none of
 //! them acts.
@@ -11,7 +11,6 @@ use crate::points::names;
 use crate::select::LevelRule;
 use crate::store::Metadata;
 use crate::viewer::opening::{Advance, KeptIn, OpenedFile};
-use crate::viewer::statistics::Statistics;
 use crate::viewer::{keys, look_panel};
 
 /// Range of the budget slider, points.
@@ -255,86 +254,6 @@ fn decimals(size: f64) -> usize {
     if size > 0.0 { (4.0 - size.log10().floor()).clamp(0.0, 9.0) as usize } else { 3 }
 }
 
-/// The statistics, in the top right corner of the picture.
-pub fn statistics(ctx: &egui::Context, picture: Rect, statistics: &Statistics) {
-    over(ctx, "statistics", picture, Align2::RIGHT_TOP, |ui| {
-        ui.style_mut().wrap_mode = Some(egui::TextWrapMode::Extend);
-        let rows = Grid::new("statistics").num_columns(2).spacing([12.0, 2.0]).min_row_height(0.0);
-        rows.show(ui, |ui| {
-            for (name, value) in statistic_rows(statistics) {
-                ui.label(RichText::new(name).size(11.0));
-                ui.label(RichText::new(value).size(11.0).monospace());
-                ui.end_row();
-            }
-        });
-    });
-}
-
-/// The lines of the statistics.
-fn statistic_rows(statistics: &Statistics) -> Vec<(String, String)> {
-    let frame = &statistics.frame;
-    let mut rows: Vec<(String, String)> = Vec::new();
-    let mut row = |name: &str, value: String| rows.push((name.to_owned(), value));
-    // The name; driver and versions are in the panel.
-    let adapter = statistics.adapter.split(" (").next().unwrap_or_default();
-    row("adapter", adapter.to_owned());
-    row("renderer", statistics.renderer.to_owned());
-    row("points drawn", of(grouped(frame.points_drawn), grouped(statistics.points)));
-    row("nodes drawn", of(grouped(frame.nodes_drawn.into()), grouped(statistics.nodes)));
-    if statistics.objects > 0 {
-        let drawn = [frame.triangles_drawn, frame.objects_drawn.into()].map(grouped);
-        let [triangles, objects] = drawn;
-        row("triangles drawn", of(triangles, grouped(statistics.triangles)));
-        row("objects drawn", of(objects, grouped(statistics.objects)));
-    }
-    row("frame (cpu)", milliseconds(frame.frame_ms));
-    for clock in ["cpu", "gpu"] {
-        for pass in frame.passes.iter().filter(|pass| pass.clock == clock) {
-            row(&format!("  {} ({clock})", pass.pass), milliseconds(pass.pass_ms));
-        }
-    }
-    if let Some(pacing) = &frame.pacing {
-        let points = pacing.predicted_ms.map_or("sure to fit".to_owned(), milliseconds);
-        row("points expected", of(points, milliseconds(pacing.free_ms)));
-        let expected = pacing.checked_predicted_ms.zip(pacing.checked_measured_ms);
-        if let Some((expected_ms, measured_ms)) = expected {
-            row("  measured", of(milliseconds(measured_ms), milliseconds(expected_ms)));
-        }
-        row("  for safety", format!("{:.0} %", 100.0 * pacing.guard_share));
-    }
-    row("draw calls", of(frame.draw_calls.to_string(), format!("{} disp.", frame.dispatches)));
-    row("point memory", of(bytes(frame.node_bytes), bytes(statistics.node_limit_bytes)));
-    row("read", of(bytes(frame.bytes_read), bytes(statistics.bytes_read)));
-    row("uploaded", of(bytes(frame.bytes_uploaded), bytes(statistics.bytes_uploaded)));
-    if frame.nodes_requested > 0 {
-        row("waiting for", format!("{} nodes", grouped(frame.nodes_requested.into())));
-    }
-    if let Some(stream) = &frame.stream {
-        let queued = format!("{} reading, {} queued", stream.nodes_in_flight, stream.nodes_queued);
-        row("loader", queued);
-        row("main memory", of(bytes(stream.ram_bytes), bytes(stream.ram_limit_bytes)));
-        row("  found there", of(grouped(stream.ram_hits), grouped(stream.nodes_delivered)));
-    }
-    row("out of sight", format!("{} nodes", grouped(frame.nodes_culled.into())));
-    row("fine enough", format!("{} nodes", grouped(frame.nodes_fine_enough.into())));
-    row("over budget", format!("{} nodes", grouped(frame.nodes_over_budget.into())));
-    if frame.nodes_without_room > 0 {
-        row("no room for", format!("{} nodes", grouped(frame.nodes_without_room.into())));
-    }
-    if frame.nodes_failed > 0 {
-        row("unreadable", format!("{} nodes", grouped(frame.nodes_failed.into())));
-    }
-    row(
-        "queue",
-        match frame.queue_pops {
-            0 => "skipped, all fits".to_owned(),
-            pops => format!("{} pops", grouped(pops.into())),
-        },
-    );
-    row("frames", format!("{} drawn, {} kept", statistics.frames_drawn, statistics.frames_skipped));
-    rows
-}
-
 /// The list of keys, in the middle.
 pub fn help(ctx: &egui::Context, picture: Rect) {
     over(ctx, "help", picture, Align2::CENTER_CENTER, |ui| {
@@ -414,7 +333,7 @@ pub fn progress_and_notices(
 }
 
 /// A see-through box in a corner of the picture.
-fn over(
+pub(super) fn over(
     ctx: &egui::Context,
     name: &str,
     picture: Rect,
@@ -449,14 +368,6 @@ fn rule_name(rule: &LevelRule) -> &'static str {
 fn capitalized(word: &str) -> String {
     let mut letters = word.chars();
     letters.next().map_or(String::new(), |first| first.to_uppercase().chain(letters).collect())
-}
-
-fn of(part: String, whole: String) -> String {
-    format!("{part} / {whole}")
-}
-
-fn milliseconds(ms: f64) -> String {
-    format!("{ms:.1} ms")
 }
 
 /// `1 234 567`, with thin gaps.
@@ -494,16 +405,6 @@ fn parse_count(text: &str) -> Option<f64> {
     number.trim().parse::<f64>().ok().map(|number| number * factor)
 }
 
-fn bytes(count: u64) -> String {
-    let count = count as f64;
-    match count {
-        n if n >= f64::from(1u32 << 30) => format!("{:.2} GiB", n / f64::from(1u32 << 30)),
-        n if n >= f64::from(1u32 << 20) => format!("{:.1} MiB", n / f64::from(1u32 << 20)),
-        n if n >= 1024.0 => format!("{:.0} KiB", n / 1024.0),
-        n => format!("{n:.0} B"),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -519,8 +420,6 @@ mod tests {
         assert_eq!(parse_count(" 3 m"), Some(3e6));
         assert_eq!(parse_count("many"), None);
         assert_eq!(parse_count(""), None);
-        assert_eq!(bytes(1536), "2 KiB");
-        assert_eq!(bytes(3 << 29), "1.50 GiB");
     }
 
     #[test]

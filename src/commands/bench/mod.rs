@@ -1,18 +1,24 @@
 //! `esker bench`: suites that put run time and deterministic counts against error, in one run.
 
+#[cfg(feature = "gpu")]
+mod bare;
 mod bars;
 mod cameras;
 mod convert;
 mod culling;
 mod limits;
 mod lod;
+mod lod_tables;
 mod options;
 #[cfg(feature = "gpu")]
 mod paths;
+#[cfg(feature = "gpu")]
+mod paths_tables;
 mod plot;
 mod slow_bytes;
 mod stability;
 mod stability_sets;
+mod steps;
 mod stream;
 mod time;
 

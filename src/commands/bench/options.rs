@@ -1,10 +1,8 @@
-//! The studies *options* and *steps* of the suite `lod`: what each way to show points changes.
+//! The study *options* of the suite `lod`: what each way to show points costs and changes.
 //!
-//! *Options* draws the views with one option at a time: what it costs, and how far the picture is
-//! from the reference. Eye-dome lighting changes colours on purpose, so of its row only cost and
-//! holes mean anything. *Steps* moves the camera towards the cloud in small steps and compares each
-//! picture with the one before: levels that come at once show as steps with a larger change than
-//! the others. All points drawn are the measure of what the motion alone changes.
+//! The views are drawn with one option at a time: what it costs, and how far the picture is from
+//! the reference. Eye-dome lighting changes colours on purpose, so of its row only cost and holes
+//! mean anything. What changes from picture to picture is in `steps`.
 
 use std::fmt::Write;
 use std::sync::Arc;
@@ -13,9 +11,9 @@ use std::time::Instant;
 use serde::Serialize;
 
 use crate::build::available_memory;
-use crate::commands::bench::lod::{count, percent, pixels};
-use crate::commands::bench::plot::{Panel, Scale, Series, svg};
-use crate::commands::bench::{BenchArgs, cameras, write_file};
+use crate::commands::bench::lod::pixels;
+use crate::commands::bench::lod_tables::{count, percent};
+use crate::commands::bench::{BenchArgs, cameras, steps, write_file};
 use crate::frame::{ColorMode, FrameSettings, NodeSource, RasterPath, Renderer, reference_picture};
 use crate::geometry::View;
 use crate::metrics::{PictureError, compare};
@@ -34,7 +32,8 @@ struct Row {
     error: PictureError,
 }
 
-type Change = fn(&mut FrameSettings);
+/// What an option changes.
+pub(super) type Change = fn(&mut FrameSettings);
 
 /// The options, the default first.
 const OPTIONS: [(&str, Change); 16] = [
@@ -67,12 +66,7 @@ fn gaps_of_single_pixels(settings: &mut FrameSettings, radius_px: u32) {
     settings.finish.gap_radius_px = radius_px;
 }
 
-/// Steps of the camera, and how much nearer each is.
-const STEPS: usize = 48;
-const QUICK_STEPS: usize = 12;
-const STEP: f64 = 0.985;
-
-/// Runs both studies for one scan and writes their files.
+/// Runs the study and those of steps for one scan and writes their files.
 pub fn run(args: &BenchArgs, name: &str, source: Arc<dyn NodeSource>) -> anyhow::Result<()> {
     let default_size = if args.quick { (640, 360) } else { (1280, 720) };
     let size = args.size.unwrap_or(default_size);
@@ -107,7 +101,7 @@ pub fn run(args: &BenchArgs, name: &str, source: Arc<dyn NodeSource>) -> anyhow:
     }
     write_file(&args.output.join(format!("lod-options-{name}.csv")), &csv)?;
     if let Some((_, view)) = views.first() {
-        steps(args, name, &mut renderer, source.as_ref(), view)?;
+        steps::run(args, name, &mut renderer, source.as_ref(), view)?;
     }
     Ok(())
 }
@@ -159,7 +153,7 @@ fn options_of(
 }
 
 /// The picture and the least time of some frames after the first.
-fn drawn(
+pub(super) fn drawn(
     renderer: &mut Renderer,
     view: &View,
     settings: &FrameSettings,
@@ -223,96 +217,4 @@ fn options_table(rows: &[Row], path: RasterPath) -> String {
     }
     out.push('\n');
     out
-}
-
-/// Pictures of a camera that moves towards the cloud: how much each differs from the one before.
-fn steps(
-    args: &BenchArgs,
-    name: &str,
-    renderer: &mut Renderer,
-    source: &dyn NodeSource,
-    start: &View,
-) -> anyhow::Result<()> {
-    let count_of = if args.quick { QUICK_STEPS } else { STEPS };
-    let size = args.size.unwrap_or((640, 360));
-    let center = source.bounds().center();
-    let views: Vec<View> = (0..count_of)
-        .map(|step| {
-            let mut view = View { width_px: size.0, height_px: size.1, ..*start };
-            view.camera.eye = center + (view.camera.eye - center) * STEP.powi(step as i32);
-            view
-        })
-        .collect();
-    let ways: [(&str, Change); 4] = [
-        ("plain", |_| {}),
-        ("continuous", |s| s.cut.continuous = true),
-        ("all points", |s| {
-            s.cut.error_px = 0.0;
-            s.cut.point_budget = u64::MAX;
-            s.cut.splat.size = SplatSize::Fixed { px: 1.0 };
-        }),
-        ("plain, 0.5 px", |s| s.cut.error_px = 0.5),
-    ];
-    let mut out = format!(
-        "Steps: the camera goes {:.1} % nearer {} times; change of colours from picture to \
-         picture (RMSE)\n{:<16}{:>9}{:>12}{:>12}{:>12}{:>14}{:>12}\n",
-        100.0 * (1.0 - STEP),
-        count_of - 1,
-        "levels",
-        "points",
-        "mean change",
-        "largest",
-        "sudden",
-        "points, step",
-        "error"
-    );
-    let mut series = Vec::new();
-    for (way, change) in ways {
-        let mut settings = FrameSettings { color: ColorMode::Auto, ..FrameSettings::default() };
-        change(&mut settings);
-        let (mut changes, mut points, mut errors) = (Vec::new(), Vec::new(), Vec::new());
-        let mut before: Option<Picture> = None;
-        for (step, view) in views.iter().enumerate() {
-            let (picture, _) = drawn(renderer, view, &settings, 0)?;
-            points.push(renderer.stats().points_drawn as f64);
-            if let Some(before) = &before {
-                changes.push(compare(pixels(before), pixels(&picture)).rmse);
-            }
-            if step % 6 == 0 {
-                let reference =
-                    reference_picture(source, view, &settings.color, settings.background)?;
-                errors.push(compare(pixels(&reference), pixels(&picture)).rmse);
-            }
-            before = Some(picture);
-        }
-        let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
-        let largest = changes.iter().copied().fold(0.0, f64::max);
-        // How far a change stands out from those beside it.
-        let sudden = changes
-            .windows(3)
-            .map(|three| three[1] - 0.5 * (three[0] + three[2]))
-            .fold(0.0, f64::max);
-        let step = points.windows(2).map(|two| (two[1] / two[0] - 1.0).abs()).fold(0.0, f64::max);
-        let _ = writeln!(
-            out,
-            "{way:<16}{:>9}{:>12.2}{largest:>12.2}{sudden:>12.2}{:>14}{:>12.2}",
-            count(mean(&points)),
-            mean(&changes),
-            format!("{:.1} %", 100.0 * step),
-            mean(&errors)
-        );
-        let places = changes.iter().enumerate().map(|(step, &change)| (step as f64, change));
-        series.push(Series { name: way.to_owned(), points: places.collect() });
-    }
-    println!("{out}");
-    let panel = Panel {
-        title: "change from picture to picture".into(),
-        x_label: "step".into(),
-        y_label: "colour RMSE (0-255)".into(),
-        x_scale: Scale::Linear,
-        y_scale: Scale::Linear,
-        series,
-    };
-    let heading = format!("{name}: a camera that moves in steps of {:.1} %", 100.0 * (1.0 - STEP));
-    write_file(&args.output.join(format!("lod-steps-{name}.svg")), &svg(&heading, &[panel], 1))
 }

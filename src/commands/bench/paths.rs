@@ -6,56 +6,49 @@
 //! grown in screen space, as quads. All take turns, so that what else the machine does falls on all
 //! alike; times are the least of the turns. Pictures are compared with that of the CPU.
 
-use std::fmt::Write;
-use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use bytemuck::Zeroable;
-use glam::{DVec3, UVec3};
 use serde::Serialize;
 
-use crate::commands::bench::plot::{Panel, Scale, Series, svg};
+use crate::commands::bench::bare::Bare;
+use crate::commands::bench::paths_tables::{paths_table, splats_table, write_csv_row, write_plot};
 use crate::commands::bench::{BenchArgs, cameras, write_file};
 use crate::frame::{FrameSettings, NodeSource, RasterPath, Renderer};
-use crate::geometry::{MortonKey, View};
-use crate::gpu::layout::GpuNode;
-use crate::gpu::{Gpu, PassTimer, copy_bandwidth};
+use crate::geometry::View;
+use crate::gpu::{Gpu, copy_bandwidth};
 use crate::metrics::processor_ms;
-use crate::passes::splat::local_cell;
-use crate::passes::{EarlyOut, Picture, PointsBare, Tile};
-use crate::select::{
-    AllResident, CutScratch, SplatDrawing, SplatSettings, SplatSize, select_nodes,
-};
+use crate::passes::{EarlyOut, Picture};
+use crate::select::{SplatDrawing, SplatSize};
 
 /// One way of drawing one view. A row of the CSV file.
 #[derive(Clone, Debug, Serialize)]
-struct Row {
-    scan: String,
-    view: String,
-    study: &'static str,
-    path: &'static str,
-    splat_px: f64,
-    points_drawn: u64,
-    nodes_drawn: u32,
-    splat_pixels: u64,
-    dispatches: u32,
-    draw_calls: u32,
-    bytes_per_point: f64,
+pub(super) struct Row {
+    pub(super) scan: String,
+    pub(super) view: String,
+    pub(super) study: &'static str,
+    pub(super) path: &'static str,
+    pub(super) splat_px: f64,
+    pub(super) points_drawn: u64,
+    pub(super) nodes_drawn: u32,
+    pub(super) splat_pixels: u64,
+    pub(super) dispatches: u32,
+    pub(super) draw_calls: u32,
+    pub(super) bytes_per_point: f64,
     /// Least time from the call to the end of the device's work.
-    frame_ms: f64,
+    pub(super) frame_ms: f64,
     /// Least time that processors of this machine worked for it; 0 where that is not known.
-    processor_ms: f64,
+    pub(super) processor_ms: f64,
     /// Least time of the passes over points by the device's clock; 0 where it has none, or draws on
     /// processors, where its clock does not wait for compute passes.
-    points_ms: f64,
+    pub(super) points_ms: f64,
     /// The same of growing splats.
-    grow_ms: f64,
+    pub(super) grow_ms: f64,
     /// The same of the resolve.
-    resolve_ms: f64,
+    pub(super) resolve_ms: f64,
     /// Pixels unlike those of the CPU, and those among them at the same depth.
-    pixels_differing: usize,
-    pixels_tied: usize,
+    pub(super) pixels_differing: usize,
+    pub(super) pixels_tied: usize,
 }
 
 const CSV_HEADER: &str = "scan,view,study,path,splat_px,points_drawn,nodes_drawn,splat_pixels,\
@@ -222,8 +215,8 @@ impl Way {
 const LIMIT_BYTES: u64 = 1 << 30;
 
 /// What one way took.
-struct Found {
-    row: Row,
+pub(super) struct Found {
+    pub(super) row: Row,
 }
 
 impl Found {
@@ -382,213 +375,4 @@ fn differences(expected: &Picture, picture: &Picture) -> (usize, usize) {
     };
     let differing: Vec<usize> = differing.collect();
     (differing.len(), differing.iter().filter(|i| is_tied(i)).count())
-}
-
-/// The bare loop over the points that a frame draws.
-struct Bare {
-    pass: PointsBare,
-    timer: PassTimer,
-    node: GpuNode,
-    count: u32,
-    lattice_eye: Box<dyn Fn(&View) -> DVec3>,
-}
-
-impl Bare {
-    fn new(
-        gpu: &Gpu,
-        source: &dyn NodeSource,
-        view: &View,
-        settings: &FrameSettings,
-    ) -> anyhow::Result<Self> {
-        let octree = source.octree();
-        let scratch = &mut CutScratch::default();
-        let cut = select_nodes(octree, view, &settings.cut, &AllResident, scratch);
-        // Coordinates in the root cube, less fine where they would not fit a code.
-        let bits = octree.root_cube().bits;
-        let shift = bits.saturating_sub(21);
-        let (mut words, mut colors) = (Vec::new(), Vec::new());
-        let (mut node_words, mut node_colors) = (Vec::new(), Vec::new());
-        for drawn in &cut.draw {
-            source.read_positions(drawn.node, &mut node_words)?;
-            match source.has_colors() {
-                true => source.read_colors(drawn.node, &mut node_colors)?,
-                false => node_colors.resize(drawn.count as usize, 0xff80_8080),
-            }
-            let local_bits = octree.local_bits(drawn.node);
-            let shape = GpuNode { local_bits, ..GpuNode::zeroed() };
-            let base = octree.cell_min(drawn.node) - octree.root_cube().min;
-            for point in 0..drawn.count as usize {
-                let cell = UVec3::from(local_cell(&shape, &node_words, point)).as_i64vec3() + base;
-                let code = u64::encode((cell >> i64::from(shift)).as_uvec3().to_array());
-                words.extend([code as u32, (code >> 32) as u32]);
-            }
-            colors.extend_from_slice(&node_colors[..drawn.count as usize]);
-        }
-        let count = colors.len() as u32;
-        words.extend(colors);
-        let pass = PointsBare::new(gpu, &words, count, [view.width_px, view.height_px])?;
-        let step = octree.lattice().scale * f64::from(1u32 << shift);
-        let node = GpuNode {
-            scale: step.as_vec3().to_array(),
-            local_bits: bits - shift,
-            ..GpuNode::zeroed()
-        };
-        let (lattice, root) = (*octree.lattice(), octree.root_cube().min.as_dvec3());
-        let steps = f64::from(1u32 << shift);
-        let lattice_eye =
-            Box::new(move |view: &View| (lattice.lattice(view.camera.eye) - root) / steps);
-        Ok(Bare { pass, timer: PassTimer::new(gpu)?, node, count, lattice_eye })
-    }
-
-    fn draw(&mut self, gpu: &Gpu, view: &View) -> anyhow::Result<()> {
-        let frame = Tile::whole(view).gpu_frame(view, &SplatSettings::default(), 0);
-        let eye = (self.lattice_eye)(view);
-        let last = f64::from(self.node.local_bits).exp2() - 1.0;
-        let cell = eye.floor().clamp(DVec3::ZERO, DVec3::splat(last));
-        let node = GpuNode {
-            eye_cell: cell.as_uvec3().to_array(),
-            eye_fraction: (eye - cell).as_vec3().to_array(),
-            ..self.node
-        };
-        Ok(self.pass.draw(gpu, &mut self.timer, &frame, &node)?)
-    }
-
-    fn pass_ms(&mut self) -> f64 {
-        self.timer.collect().first().map_or(f64::INFINITY, |(_, ms)| *ms)
-    }
-}
-
-fn paths_table(view: &str, found: &[Found], copy_gb_s: f64) -> String {
-    let rows: Vec<&Row> = found.iter().map(|found| &found.row).collect();
-    let of = |path: &str| rows.iter().find(|row| row.path == path);
-    let mut out = format!(
-        "Paths, {view}: points of one pixel; least times of whole frames\n{:<14}{:>9}{:>7}{:>10}\
-         {:>9}{:>9}{:>11}{:>9}{:>11}{:>11}{:>9}{:>9}{:>11}{:>9}\n",
-        "path",
-        "points",
-        "nodes",
-        "frame ms",
-        "/ bare",
-        "list /",
-        "cores' ms",
-        "/ bare",
-        "points ms",
-        "resolve ms",
-        "B/point",
-        "of copy",
-        "differing",
-        "no ties"
-    );
-    for row in &rows {
-        let against = |of: Option<&&Row>, value: fn(&Row) -> f64| match of.map(|of| value(of)) {
-            Some(other) if other > 0.0 && value(row) > 0.0 => value(row) / other,
-            _ => f64::NAN,
-        };
-        let ratio = |ratio: f64| match ratio.is_nan() {
-            true => String::new(),
-            false => format!("{ratio:.2}"),
-        };
-        // Without a clock of the device the whole frame counts.
-        let pass_ms = if row.points_ms > 0.0 { row.points_ms } else { row.frame_ms };
-        let gb_s = row.points_drawn as f64 * row.bytes_per_point / pass_ms * 1e-6;
-        let _ = writeln!(
-            out,
-            "{:<14}{:>9}{:>7}{:>10.2}{:>9}{:>9}{:>11.2}{:>9}{:>11.2}{:>11.2}{:>9.1}{:>9}{:>11}\
-             {:>9}",
-            row.path,
-            row.points_drawn,
-            row.nodes_drawn,
-            row.frame_ms,
-            ratio(against(of("bare loop"), |row| row.frame_ms)),
-            ratio(1.0 / against(of("point list"), |row| row.frame_ms)),
-            row.processor_ms,
-            ratio(against(of("bare loop"), |row| row.processor_ms)),
-            row.points_ms,
-            row.resolve_ms,
-            row.bytes_per_point,
-            format!("{:.1} %", 100.0 * gb_s / copy_gb_s),
-            row.pixels_differing,
-            row.pixels_differing - row.pixels_tied
-        );
-    }
-    out.push('\n');
-    out
-}
-
-fn splats_table(view: &str, rows: &[Row]) -> String {
-    let mut out = format!(
-        "Splats, {view}: points of one size, squares; least times of whole frames, ms\n{:<12}{:>9}",
-        "side", "points"
-    );
-    let mut paths: Vec<&str> = rows.iter().map(|row| row.path).collect();
-    paths.dedup();
-    let mut names: Vec<&str> = Vec::new();
-    paths.into_iter().for_each(|path| {
-        if !names.contains(&path) {
-            names.push(path)
-        }
-    });
-    names.iter().for_each(|name| out.push_str(&format!("{name:>12}")));
-    out.push('\n');
-    let mut sides: Vec<f64> = rows.iter().map(|row| row.splat_px).collect();
-    sides.dedup();
-    for side in sides {
-        let of_side: Vec<&Row> = rows.iter().filter(|row| row.splat_px == side).collect();
-        let _ = write!(out, "{:<12}{:>9}", format!("{side:.0} px"), of_side[0].points_drawn);
-        for name in &names {
-            let row = of_side.iter().find(|row| row.path == *name);
-            out.push_str(&row.map_or(String::new(), |row| format!("{:>12.1}", row.frame_ms)));
-        }
-        let worst = of_side.iter().map(|row| row.pixels_differing - row.pixels_tied).max();
-        let _ = writeln!(out, "   pixels unlike the CPU's but for ties: {}", worst.unwrap_or(0));
-    }
-    out.push('\n');
-    out
-}
-
-fn write_csv_row(csv: &mut String, row: &Row) {
-    let _ = writeln!(
-        csv,
-        "{},\"{}\",{},{},{:.2},{},{},{},{},{},{:.3},{:.3},{:.3},{:.3},{:.3},{:.3},{},{}",
-        row.scan,
-        row.view,
-        row.study,
-        row.path,
-        row.splat_px,
-        row.points_drawn,
-        row.nodes_drawn,
-        row.splat_pixels,
-        row.dispatches,
-        row.draw_calls,
-        row.bytes_per_point,
-        row.frame_ms,
-        row.processor_ms,
-        row.points_ms,
-        row.grow_ms,
-        row.resolve_ms,
-        row.pixels_differing,
-        row.pixels_tied
-    );
-}
-
-fn write_plot(folder: &Path, name: &str, rows: &[Row]) -> anyhow::Result<()> {
-    let rows: Vec<&Row> = rows.iter().filter(|row| row.study == "splats").collect();
-    let mut series: Vec<Series> = Vec::new();
-    for row in rows {
-        let point = (row.splat_px, row.frame_ms);
-        match series.iter_mut().find(|line| line.name == row.path) {
-            Some(line) => line.points.push(point),
-            None => series.push(Series { name: row.path.to_owned(), points: vec![point] }),
-        }
-    }
-    let panel = Panel {
-        title: "splats of one size".into(),
-        x_label: "side, pixels".into(),
-        y_label: "frame time, ms".into(),
-        x_scale: Scale::Log,
-        y_scale: Scale::Log,
-        series,
-    };
-    let heading = format!("{name}: ways to draw splats");
-    write_file(&folder.join(format!("lod-splats-{name}.svg")), &svg(&heading, &[panel], 1))
 }

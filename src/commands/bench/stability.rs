@@ -15,7 +15,8 @@ use anyhow::Context;
 use serde::Serialize;
 
 use crate::build::{self, ConvertOptions, Silent};
-use crate::commands::bench::lod::{count, percent, pixels};
+use crate::commands::bench::lod::pixels;
+use crate::commands::bench::lod_tables::{count, percent};
 use crate::commands::bench::plot::{Panel, Scale, Series, svg};
 use crate::commands::bench::stability_sets as sets;
 use crate::commands::bench::{BenchArgs, machine, write_file};

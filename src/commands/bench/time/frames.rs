@@ -61,7 +61,7 @@ impl Plan {
                 size: args.size.unwrap_or((1280, 720)),
                 training: 200,
                 tests: 300,
-                flight: 300,
+                flight: 1200,
                 curve: &[25_000, 50_000, 100_000, 200_000, 400_000, 800_000],
                 repeats: 4,
                 noise: 10_000,
@@ -375,7 +375,7 @@ fn flight(
     let (mut learned, mut waits, mut planning_ms, mut tried) = (0, 0, 0.0, 0);
     let mut budgets = Vec::new();
     for frame in 0..plan.flight {
-        let (view, _) = test_frame(source, plan, frame);
+        let view = on_path(source, plan, f64::from(frame) / f64::from(plan.flight));
         let stats = renderer.render(&view, &settings)?;
         let Some(pacing) = stats.pacing else { continue };
         budgets.push(stats.points_drawn as f64);
@@ -474,15 +474,19 @@ fn training(source: &dyn NodeSource, plan: &Plan) -> anyhow::Result<Vec<(View, F
 
 /// A spiral towards the middle, with varied settings.
 fn test_frame(source: &dyn NodeSource, plan: &Plan, frame: u32) -> (View, FrameSettings) {
+    let share = f64::from(frame) / f64::from(plan.tests.max(1));
+    (on_path(source, plan, share), varied(51, frame, plan))
+}
+
+/// A place on that spiral, from 0 at its start to 1.
+fn on_path(source: &dyn NodeSource, plan: &Plan, share: f64) -> View {
     let bounds = source.bounds();
     let radius = (0.5 * bounds.diagonal()).max(1e-3);
-    let share = f64::from(frame) / f64::from(plan.tests.max(1));
     let turn = 4.0 * share;
     let away = DVec3::new(turn.cos(), turn.sin(), 0.25 + 0.3 * (1.0 - share));
     let eye = bounds.center() + away * radius * (1.7 * (1.0 - share) + 0.08);
     let target =
         bounds.center() + DVec3::new(-turn.sin(), turn.cos(), 0.0) * (0.2 * radius * share);
     let camera = Camera::looking_at(eye, target, DVec3::Z, 60f64.to_radians(), 1e-4 * radius);
-    let view = View { camera, width_px: plan.size.0, height_px: plan.size.1 };
-    (view, varied(51, frame, plan))
+    View { camera, width_px: plan.size.0, height_px: plan.size.1 }
 }

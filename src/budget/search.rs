@@ -134,6 +134,19 @@ mod tests {
         search
     }
 
+    /// The hysteresis: what takes nearly all of the time is kept without another trial.
+    #[test]
+    fn a_budget_that_uses_the_time_well_stays() {
+        let tried = |expected_ms: f64| {
+            let mut search = BudgetSearch::new(1_000, 1_000_000, 10.0);
+            search.note(1_000, 1_000, expected_ms, true);
+            (search.next_trial().is_none(), search.budget())
+        };
+        assert_eq!(tried(9.0), (true, 1_000));
+        assert_eq!(tried(8.0), (false, 1_000), "more may fit");
+        assert_eq!(tried(11.0), (false, 0), "less has to");
+    }
+
     #[test]
     fn what_is_found_fits_and_uses_the_time() {
         let (mut well_used, mut all) = (0, 0);

@@ -53,6 +53,7 @@ pub struct NodeCache {
     lru: Lru<SceneNode>,
     frame: u64,
     evicted: u32,
+    #[cfg(feature = "gpu")]
     bytes_moved: u64,
 }
 
@@ -60,7 +61,15 @@ impl NodeCache {
     /// An empty cache.
     pub fn new(storage: Storage) -> Self {
         let (nodes, lru) = (HashMap::new(), Lru::default());
-        NodeCache { storage, nodes, lru, frame: 0, evicted: 0, bytes_moved: 0 }
+        NodeCache {
+            storage,
+            nodes,
+            lru,
+            frame: 0,
+            evicted: 0,
+            #[cfg(feature = "gpu")]
+            bytes_moved: 0,
+        }
     }
 
     /// Starts a frame; nodes touched from here on stay until the next one.
@@ -106,6 +115,7 @@ impl NodeCache {
 
     /// Bytes of nodes, none larger than `largest_bytes`, that surely have room together: the
     /// limit, but for what the ends of several buffers may leave free.
+    #[cfg_attr(not(feature = "gpu"), expect(unused_variables, reason = "memory has one piece"))]
     pub fn room_bytes(&self, largest_bytes: u64) -> u64 {
         match &self.storage {
             Storage::Memory { limit_bytes } => *limit_bytes,
@@ -115,6 +125,7 @@ impl NodeCache {
     }
 
     /// Bytes moved within the device so far.
+    #[cfg(feature = "gpu")]
     pub fn bytes_moved(&self) -> u64 {
         self.bytes_moved
     }

@@ -45,6 +45,7 @@ pub(super) struct MaterialTables {
     /// RGBA8 words.
     pub texels: Vec<u32>,
     /// Textures whose finest levels found no room.
+    #[cfg_attr(not(feature = "gpu"), allow(dead_code, reason = "only the device has limits"))]
     pub reduced_textures: u32,
 }
 

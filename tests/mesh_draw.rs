@@ -277,14 +277,30 @@ fn a_point_and_a_mesh_at_one_place_share_their_pixel_ten_thousand_kilometres_awa
     let lattice = Lattice { scale: DVec3::splat(0.001), offset };
     let points: Vec<_> = cells.iter().map(|&cell| (cell, GREEN)).collect();
     let cloud = Arc::new(MemoryCloud::new(lattice, 11, 3, &points));
-    let flag = |cell: &UVec3| {
+    // The same flag about its own origin, and a hundred kilometres from it.
+    let half = 1.0 / 128.0;
+    let away = dvec3(98_304.5, 32_768.25, 8192.125);
+    let moved = |[x, y, z]: [f32; 3]| (dvec3(x.into(), y.into(), z.into()) * half + away).as_vec3();
+    let near = square(1.0);
+    let far = Mesh {
+        positions: near.positions.iter().map(|&at| moved(at).to_array()).collect(),
+        ..near.clone()
+    };
+    let flag = |(at, cell): (usize, &UVec3)| {
         let place = lattice.world(cell.as_i64vec3());
-        object(0, 0, DAffine3::from_translation(place) * DAffine3::from_scale(DVec3::splat(0.002)))
+        match at % 2 {
+            0 => object(
+                0,
+                0,
+                DAffine3::from_translation(place) * DAffine3::from_scale(DVec3::splat(half)),
+            ),
+            _ => object(1, 0, DAffine3::from_translation(place - away)),
+        }
     };
     let model = Arc::new(Model {
-        meshes: vec![square(1.0)],
+        meshes: vec![near, far],
         materials: vec![of_color([255, 0, 0, 255])],
-        objects: cells.iter().map(flag).collect(),
+        objects: cells.iter().enumerate().map(flag).collect(),
         ..Model::default()
     });
     for (step, path) in (0..9).flat_map(|step| paths().into_iter().map(move |path| (step, path))) {
@@ -299,7 +315,7 @@ fn a_point_and_a_mesh_at_one_place_share_their_pixel_ten_thousand_kilometres_awa
         for cell in &cells {
             let world = lattice.world(cell.as_i64vec3());
             let (x, y, w) = view.project(world).expect("in front");
-            let half_px = 0.002 * view.focal_px() / w;
+            let half_px = half * view.focal_px() / w;
             let (x, y) = (x as i32, y as i32);
             if !(8..1592).contains(&x) || !(8..1192).contains(&y) {
                 continue;

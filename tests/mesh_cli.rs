@@ -128,3 +128,37 @@ fn what_is_no_model_is_one_line() {
         Some(2)
     );
 }
+
+/// Made subjects with surfaces are written as a model, and as a scan of the same surfaces.
+#[test]
+fn made_scenes_come_as_models_and_as_scans() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path();
+    let made = ["generate", "--subject", "rooms", "--size", "2", "--origin", "1000,2000,30"];
+    let with = |more: &[&str]| esker(path, &[&made[..], more].concat());
+    done(&with(&["-o", "rooms.glb"]));
+    done(&with(&["--points", "20k", "-o", "rooms.las"]));
+    let facts = |file: &str| -> Value {
+        let info = esker(path, &["info", "--json", file]);
+        serde_json::from_slice(&info.stdout).expect("JSON")
+    };
+    let scene = esker::mesh::scenes::SceneKind::Rooms.make(2, 1);
+    let model = facts("rooms.glb");
+    assert_eq!(model["objects"], scene.model.objects.len());
+    assert_eq!(model["triangles"], scene.model.triangle_count());
+    let scan = facts("rooms.las");
+    for axis in 0..3 {
+        let bounds = |facts: &Value, side: &str| {
+            let found = ["bounds", "header_bounds"]
+                .into_iter()
+                .find_map(|name| facts[name][side][axis].as_f64());
+            found.expect("bounds")
+        };
+        assert!((bounds(&model, "min") - bounds(&scan, "min")).abs() < 0.2);
+        assert!((bounds(&model, "max") - bounds(&scan, "max")).abs() < 0.2);
+    }
+    let again = with(&["-o", "rooms.glb"]);
+    assert_eq!(again.status.code(), Some(1), "it is there already");
+    let points = esker(path, &["generate", "--subject", "cube", "-o", "cube.glb"]);
+    assert_eq!(points.status.code(), Some(1), "a cube of points is no model");
+}

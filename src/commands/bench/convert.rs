@@ -64,6 +64,7 @@ fn scans(args: &BenchArgs, folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
     }
     let output = folder.join("generated.laz");
     generate::run(GenerateArgs {
+        size: None,
         output: output.clone(),
         overwrite: true,
         points: if args.quick { QUICK_POINTS } else { GENERATED_POINTS },

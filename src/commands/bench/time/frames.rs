@@ -106,6 +106,7 @@ fn sources(args: &BenchArgs, plan: &Plan, folder: &Path) -> anyhow::Result<Vec<N
     if files.is_empty() {
         let scan = folder.join("generated.las");
         generate::run(GenerateArgs {
+            size: None,
             output: scan.clone(),
             points: plan.points,
             subject: Subject::Scene,

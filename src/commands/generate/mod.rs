@@ -1,4 +1,6 @@
-//! `esker generate`: a made-up scan of any size, from a seed.
+//! `esker generate`: a made-up scan of any size, or a made-up model, from a seed.
+
+mod glb;
 
 use std::io;
 use std::path::PathBuf;
@@ -10,10 +12,11 @@ use clap::{Args, ValueEnum};
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::convert::cancelled_by_signal;
-use super::quantities::parse_count;
 use crate::build::BuildError;
+use crate::commands::convert::cancelled_by_signal;
+use crate::commands::quantities::parse_count;
 use crate::input::{LasTemplate, NewScan, PointFormat};
+use crate::mesh::scenes::{ModelScene, SceneKind, SurfaceSampler};
 use crate::output::{Compression, LasWriter};
 use crate::points::Lattice;
 use crate::sampling::{Random, scene, scene::Scene, scene::SceneSettings};
@@ -29,12 +32,45 @@ pub enum Subject {
     Scene,
     /// A cube filled evenly
     Cube,
+    /// Surfaces of a city: streets, houses, trees, lamps
+    City,
+    /// Stacked rooms with doors and furniture
+    Rooms,
+    /// Hills with forest
+    Terrain,
+    /// A plant of pipes and tanks
+    Pipes,
+    /// Random boxes
+    Boxes,
+    /// Closed shells inside each other
+    Shells,
+    /// A wall with one window and boxes behind it
+    Window,
+    /// Plates that each hide a block
+    Plates,
+}
+
+impl Subject {
+    /// The model to make, for subjects that are one.
+    fn model(self) -> Option<SceneKind> {
+        Some(match self {
+            Subject::Scene | Subject::Cube => return None,
+            Subject::City => SceneKind::City,
+            Subject::Rooms => SceneKind::Rooms,
+            Subject::Terrain => SceneKind::Terrain,
+            Subject::Pipes => SceneKind::Pipes,
+            Subject::Boxes => SceneKind::Boxes,
+            Subject::Shells => SceneKind::Shells,
+            Subject::Window => SceneKind::Window,
+            Subject::Plates => SceneKind::Plates,
+        })
+    }
 }
 
 /// Arguments of `esker generate`.
 #[derive(Debug, Args)]
 pub struct GenerateArgs {
-    /// File to write, .las or .laz
+    /// File to write: .las or .laz; .glb for the model itself of a subject that has surfaces
     #[arg(short, long, value_name = "FILE")]
     pub output: PathBuf,
 
@@ -54,6 +90,11 @@ pub struct GenerateArgs {
     #[arg(long, value_enum, default_value_t = Subject::Scene)]
     pub subject: Subject,
 
+    /// Size of a subject with surfaces, such as blocks along a side of the city [default: some
+    /// thousand objects]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub size: Option<u32>,
+
     /// World coordinates of the lower corner
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_corner, default_value = "476000,5429000,300", allow_hyphen_values = true)]
     pub origin: DVec3,
@@ -66,14 +107,15 @@ pub struct GenerateArgs {
 /// Writes the file.
 pub fn run(args: GenerateArgs) -> anyhow::Result<ExitCode> {
     let suffix = args.output.extension().map(|suffix| suffix.to_ascii_lowercase());
+    if suffix.as_ref().is_some_and(|suffix| suffix == "glb") {
+        return write_model(&args);
+    }
     let compression = match suffix.as_ref().and_then(|suffix| suffix.to_str()) {
         Some("las") => Compression::None,
         Some("laz") => Compression::Laz,
-        _ => anyhow::bail!("the output must end in .las or .laz: {}", args.output.display()),
+        _ => anyhow::bail!("the output must end in .las, .laz or .glb: {}", args.output.display()),
     };
-    if args.output.exists() && !args.overwrite {
-        anyhow::bail!("{}: exists already (--overwrite replaces it)", args.output.display());
-    }
+    refuse_existing(&args)?;
     anyhow::ensure!(args.step.is_finite() && args.step > 0.0, "--step must be above 0");
     let settings = SceneSettings {
         points: args.points,
@@ -82,7 +124,15 @@ pub fn run(args: GenerateArgs) -> anyhow::Result<ExitCode> {
         step: args.step,
     };
     let scene = Scene::new(settings);
-    let (scale, offset) = scene.scale_and_offset();
+    let made = make_model(&args);
+    let surface = made.as_ref().map(|made| SurfaceSampler::new(&made.model, args.seed));
+    let (scale, mut offset) = scene.scale_and_offset();
+    if let Some(made) = &made {
+        offset = args.origin;
+        let far = made.model.bounds();
+        let steps = far.min.abs().max(far.max.abs()).max_element() / args.step;
+        anyhow::ensure!(steps < f64::from(i32::MAX), "--step is too small for the size");
+    }
     let point_format = PointFormat::new(scene::POINT_FORMAT).expect("the scene's format exists");
     let template = LasTemplate::for_new_scan(&NewScan {
         minor: if args.points > u64::from(u32::MAX) { 4 } else { 2 },
@@ -111,6 +161,9 @@ pub fn run(args: GenerateArgs) -> anyhow::Result<ExitCode> {
             if args.subject == Subject::Cube {
                 spread(first, records, &args);
             }
+            if let Some(surface) = &surface {
+                put_on_surface(first, records, surface, args.step);
+            }
         });
         writer.write(batch)?;
         first += count as u64;
@@ -118,6 +171,45 @@ pub fn run(args: GenerateArgs) -> anyhow::Result<ExitCode> {
     let report = writer.finish(&mut io::empty())?;
     eprintln!("{} points, {} bytes: {}", report.points, report.bytes, args.output.display());
     Ok(ExitCode::SUCCESS)
+}
+
+fn refuse_existing(args: &GenerateArgs) -> anyhow::Result<()> {
+    if args.output.exists() && !args.overwrite {
+        anyhow::bail!("{}: exists already (--overwrite replaces it)", args.output.display());
+    }
+    Ok(())
+}
+
+fn make_model(args: &GenerateArgs) -> Option<ModelScene> {
+    let kind = args.subject.model()?;
+    Some(kind.make(args.size.unwrap_or(kind.usual_size()), args.seed))
+}
+
+/// Writes the model itself.
+fn write_model(args: &GenerateArgs) -> anyhow::Result<ExitCode> {
+    refuse_existing(args)?;
+    let made = make_model(args)
+        .context("only subjects with surfaces, such as city, are written as .glb")?;
+    glb::write(&made.model, args.origin, &args.output)?;
+    let (objects, triangles) = (made.model.objects.len(), made.model.triangle_count());
+    eprintln!("{objects} objects, {triangles} triangles: {}", args.output.display());
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Where records of the scene hold red, green and blue.
+const COLOR_AT: usize = 28;
+
+/// Moves the scene's points onto the surfaces of a model, evenly by area, in their colours.
+fn put_on_surface(first: u64, records: &mut [u8], surface: &SurfaceSampler, step: f64) {
+    for (index, record) in (first..).zip(records.chunks_exact_mut(scene::RECORD_BYTES)) {
+        let Some(point) = surface.point(index) else { return };
+        let steps = (point.position / step).round();
+        for axis in 0..3 {
+            record[4 * axis..][..4].copy_from_slice(&(steps[axis] as i32).to_le_bytes());
+            let color = u16::from(point.color[axis]) * 257;
+            record[COLOR_AT + 2 * axis..][..2].copy_from_slice(&color.to_le_bytes());
+        }
+    }
 }
 
 /// Moves the scene's points to even places in a cube with the scene's edge.

@@ -469,3 +469,59 @@ fn queries_that_do_not_pay_switch_off() {
     let on = asking(&city, 60);
     assert!(on == 50, "{on} of 50 frames asked");
 }
+
+/// A leaf that hangs under two nodes.
+struct Shared(Aabb);
+
+impl BoundingHierarchy for Shared {
+    fn root(&self) -> Option<TreeNodeId> {
+        Some(TreeNodeId(0))
+    }
+
+    fn node_limit(&self) -> usize {
+        4
+    }
+
+    fn parent(&self, node: TreeNodeId) -> Option<TreeNodeId> {
+        [None, Some(0), Some(0), Some(1)][node.index()].map(TreeNodeId)
+    }
+
+    fn children(&self, node: TreeNodeId) -> impl Iterator<Item = TreeNodeId> {
+        [&[1u32, 2][..], &[3], &[3], &[]][node.index()].iter().map(|&child| TreeNodeId(child))
+    }
+
+    fn is_leaf(&self, node: TreeNodeId) -> bool {
+        node.0 == 3
+    }
+
+    fn bounds(&self, _: TreeNodeId) -> Aabb {
+        self.0
+    }
+
+    fn cost(&self, _: TreeNodeId) -> u64 {
+        1
+    }
+}
+
+struct Nothing;
+
+impl Drawables for Nothing {
+    fn draw(&self, _: TreeNodeId, _: &mut ItemBuffer) -> u64 {
+        0
+    }
+}
+
+/// What hangs under several nodes is drawn once a frame.
+#[test]
+fn shared_leaves_are_drawn_once() {
+    let stage = Stage::new(SceneKind::Boxes, 1);
+    let views = stage.views(CameraPath::Still, 2);
+    let ahead = views[0].camera.eye + 5.0 * views[0].camera.forward;
+    let tree = Shared(Aabb::new(ahead - 0.5, ahead + 0.5));
+    for algorithm in [Algorithm::None, Algorithm::Frustum, Algorithm::Naive] {
+        let counters = run(&tree, Nothing, algorithm, Latency::Rounds, &views, |_, _, drawn, _| {
+            assert_eq!(drawn, [TreeNodeId(3)], "{algorithm:?}");
+        });
+        assert!(counters.iter().all(|counters| counters.leaves_drawn == 1));
+    }
+}

@@ -48,7 +48,8 @@ pub(super) struct PictureOptions {
     /// Let nodes that arrive appear over that time, milliseconds (in the window)
     #[arg(long, value_name = "MS", default_value_t = 0, value_parser = parse_appear)]
     appear_ms: u32,
-    /// How hidden objects of models are found; the picture is the same
+    /// How hidden objects of models are found; the picture is the same. Without an adapter: by the
+    /// view frustum, or not at all
     #[arg(long, value_enum, default_value = "auto")]
     culling: CullingChoice,
 }

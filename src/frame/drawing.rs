@@ -144,10 +144,11 @@ impl Renderer {
                 let Storage::Device(arena) = self.cache.storage() else {
                     unreachable!("a renderer on a device stores there")
                 };
+                let is_frozen = self.frozen.is_some();
                 let models = self.models.as_mut().map(|models| ModelDrawing {
                     model: &models.model,
                     visible: &models.visible,
-                    culling: models.culling.as_deref_mut(),
+                    culling: models.culling.as_deref_mut().filter(|_| !is_frozen),
                     view,
                 });
                 let (counts, meshes) = on_gpu.draw(&frame, &self.table, arena, settings, models)?;

@@ -9,9 +9,9 @@ use std::sync::Arc;
 use glam::DAffine3;
 
 use crate::frame::Renderer;
+use crate::frame::culling_view::Explained;
 use crate::frame::device::Device;
 use crate::geometry::{Aabb, Containment, Frustum, View};
-#[cfg(feature = "gpu")]
 use crate::hierarchy::Bvh;
 use crate::ids::ObjectId;
 use crate::mesh::Model;
@@ -26,6 +26,10 @@ pub(super) struct Models {
     all: Aabb,
     /// Objects of this frame that are in sight, hidden or not.
     pub(super) visible: Vec<ObjectId>,
+    /// What these were chosen for: a view, and whether all of them were to be drawn.
+    pub(super) chosen_for: Option<(View, bool)>,
+    /// Made when somebody looks at what the frustum alone culls.
+    pub(super) explained: Option<Box<Explained>>,
     /// What occlusion culling knows; made when it is first asked for.
     #[cfg(feature = "gpu")]
     pub(super) culling: Option<Box<ModelCulling>>,
@@ -47,6 +51,8 @@ impl Models {
             bounds,
             all,
             visible: Vec::new(),
+            chosen_for: None,
+            explained: None,
             #[cfg(feature = "gpu")]
             culling: None,
         }
@@ -54,7 +60,9 @@ impl Models {
 
     /// Chooses what is in sight; everything, if that is how it is to be.
     fn choose(&mut self, view: &View, culling: &Algorithm) {
-        if matches!(culling, Algorithm::None) {
+        let everything = matches!(culling, Algorithm::None);
+        self.chosen_for = Some((*view, everything));
+        if everything {
             self.visible.clear();
             self.visible.extend(self.model.object_ids());
             return;
@@ -64,6 +72,13 @@ impl Models {
         let bounds = self.bounds.iter().zip(0u32..);
         self.visible.clear();
         self.visible.extend(bounds.filter(|(b, _)| in_sight(b)).map(|(_, id)| ObjectId(id)));
+    }
+
+    /// A tree over the objects.
+    pub(super) fn tree(&self) -> Bvh {
+        let triangles = |object| self.model.mesh(object).triangles.len() as u64;
+        let costs: Vec<u64> = self.model.objects.iter().map(triangles).collect();
+        Bvh::build(&self.bounds, &costs, 1)
     }
 }
 
@@ -79,9 +94,7 @@ impl Models {
             culling.culler.set_algorithm(*algorithm);
             return;
         }
-        let triangles = |object| self.model.mesh(object).triangles.len() as u64;
-        let costs: Vec<u64> = self.model.objects.iter().map(triangles).collect();
-        let tree = Bvh::build(&self.bounds, &costs, 1);
+        let tree = self.tree();
         self.culling = Some(Box::new(ModelCulling { tree, culler: Culler::new(*algorithm) }));
     }
 }
@@ -90,6 +103,7 @@ impl Renderer {
     /// Replaces the models of the scene; one without objects is none. The model must be sound by
     /// [`Model::check`].
     pub fn set_model(&mut self, model: Arc<Model>) {
+        self.thaw_culling();
         self.models = (!model.is_empty()).then(|| Box::new(Models::new(model)));
         self.drop_drawn_model();
         self.last = None;
@@ -119,6 +133,7 @@ impl Renderer {
         let model = Arc::make_mut(&mut models.model);
         model.objects[object.index()].world_from_mesh = world_from_mesh;
         models.bounds[object.index()] = model.bounds_of(object);
+        models.explained = None;
         #[cfg(feature = "gpu")]
         if let Some(culling) = &mut models.culling {
             culling.tree.refit(&[(object, models.bounds[object.index()])]);
@@ -148,9 +163,13 @@ impl Renderer {
     /// Chooses the objects of a frame.
     pub(super) fn choose_objects(&mut self, view: &View, culling: &Algorithm) {
         let Some(models) = &mut self.models else { return };
-        models.choose(view, culling);
-        #[cfg(feature = "gpu")]
-        models.prepare_culling(culling);
+        if let Some(frozen) = &self.frozen {
+            models.visible.clone_from(&frozen.objects);
+        } else {
+            models.choose(view, culling);
+            #[cfg(feature = "gpu")]
+            models.prepare_culling(culling);
+        }
         self.stats.objects_culled = (models.model.objects.len() - models.visible.len()) as u32;
     }
 

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::frame::appearance::Appearance;
+use crate::frame::culling_view::Frozen;
 use crate::frame::device::Device;
 #[cfg(feature = "gpu")]
 use crate::frame::device::{GpuPass, OnGpu};
@@ -32,6 +33,8 @@ pub struct Renderer {
     pub(super) sources: Vec<Arc<dyn NodeSource>>,
     /// Only while there are models.
     pub(super) models: Option<Box<Models>>,
+    /// Only while what is drawn stays as it was for another view.
+    pub(super) frozen: Option<Box<Frozen>>,
     /// Bytes that all nodes of the scene have when they are ready.
     pub(super) scene_bytes: u64,
     /// The most that one of them has.
@@ -122,6 +125,7 @@ impl Renderer {
             device,
             sources: Vec::new(),
             models: None,
+            frozen: None,
             scene_bytes: 0,
             largest_node_bytes: 0,
             reader: None,
@@ -162,6 +166,7 @@ impl Renderer {
 
     /// Replaces the points of the scene; what was loaded of the old ones is dropped. Models stay.
     pub fn set_scene(&mut self, sources: Vec<Arc<dyn NodeSource>>) {
+        self.thaw_culling();
         self.sources = sources;
         self.read_before = self.bytes_read();
         self.scene_bytes = self.all_node_bytes().sum();
@@ -347,13 +352,14 @@ impl Renderer {
     ) -> Result<bool, FrameError> {
         self.stats = FrameStats::default();
         self.cache.begin_frame();
-        let changed = self.load(view, settings)?;
+        let chosen = self.frozen_view().copied().unwrap_or(*view);
+        let changed = self.load(&chosen, settings)?;
         let budget = settings.cut.point_budget;
         let is_other = std::mem::replace(&mut self.drawn_budget, budget) != budget
             || !matches!(&self.last, Some((last_view, last_settings, _))
                 if last_view == view && last_settings == asked);
         if changed || is_other {
-            let cuts = self.select_loaded(view, settings);
+            let cuts = self.select_loaded(&chosen, settings);
             self.predict(&cuts, view, settings);
             self.fill_table(&cuts, view, settings);
             #[cfg(feature = "gpu")]

@@ -11,6 +11,7 @@
 mod alternatives;
 mod draw_table;
 mod finish_cpu;
+mod lines;
 mod mesh_list;
 mod mesh_tables;
 mod meshes_cpu;
@@ -49,6 +50,7 @@ pub use draw_table::{BatchKind, Batches, CloudDraw, DrawTable, DrawnNode, NodePl
 pub use finish_cpu::{
     EyeDome, FinishSettings, MAX_FINISH_RADIUS_PX, fill_gaps, finish, light_eye_dome,
 };
+pub use lines::{ScreenLine, draw_line};
 pub use mesh_list::{DrawOrder, MeshCounts};
 pub use meshes_cpu::MeshesCpu;
 pub use picture::{Picture, Tile};

@@ -9,13 +9,14 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use egui::{Color32, Event, Key, MouseWheelUnit, PointerButton, Pos2, Rect, Response, Sense, Ui};
-use glam::{DVec2, DVec3};
+use egui::{Color32, Event, Key, Pos2, Rect, Sense, Ui};
+use glam::DVec3;
 
 use crate::frame::{FrameError, FrameSettings, FrameStats, Loading, NodeSource, Renderer};
 use crate::geometry::{Aabb, View, ViewPreset};
 use crate::gpu::GpuError;
 use crate::store::Store;
+use crate::viewer::CameraControl;
 use crate::viewer::canvas::Canvas;
 use crate::viewer::keys::{self, KeyCommand};
 use crate::viewer::models::{self, OpenedModel};
@@ -23,7 +24,6 @@ use crate::viewer::opening::{Advance, KeptIn, Opened, OpenedFile, Opening, Openi
 use crate::viewer::panels::{self, FileAction, Notice};
 use crate::viewer::statistics::{Milestone, Statistics};
 use crate::viewer::statistics_box;
-use crate::viewer::{CameraControl, DragKind};
 
 /// What the viewer is told at its start.
 #[derive(Clone, Debug, Default)]
@@ -46,53 +46,47 @@ pub struct ViewerOptions {
 
 /// The viewer: all state of the window.
 pub struct Viewer {
-    renderer: Renderer,
-    canvas: Canvas,
-    options: ViewerOptions,
-    settings: FrameSettings,
-    control: CameraControl,
+    pub(super) renderer: Renderer,
+    pub(super) canvas: Canvas,
+    pub(super) options: ViewerOptions,
+    pub(super) settings: FrameSettings,
+    pub(super) control: CameraControl,
     /// View to go to as soon as the size of the picture is known.
-    asked_view: Option<ViewPreset>,
+    pub(super) asked_view: Option<ViewPreset>,
     /// What of the scene that view is to show, if not all.
-    asked_part: Option<Aabb>,
+    pub(super) asked_part: Option<Aabb>,
     /// Whether the camera was moved since the scene was last framed.
-    was_moved: bool,
-    files: Vec<OpenedFile>,
-    models: Vec<OpenedModel>,
-    opening: Option<Opening>,
+    pub(super) was_moved: bool,
+    pub(super) files: Vec<OpenedFile>,
+    pub(super) models: Vec<OpenedModel>,
+    pub(super) opening: Option<Opening>,
     /// The preview on view of what is being opened.
-    preview: Option<Arc<Store>>,
+    pub(super) preview: Option<Arc<Store>>,
     /// Whether the next frame is the first of another scene at the same place, which shall not be
     /// coarser than the last one.
-    takes_over: bool,
+    pub(super) takes_over: bool,
     /// Whether the next frame is the first of a scene.
-    is_new_scene: bool,
-    milestones: Vec<Milestone>,
+    pub(super) is_new_scene: bool,
+    pub(super) milestones: Vec<Milestone>,
     /// The next file to arrive takes the place of those on view.
-    replaces: bool,
-    add_dropped: bool,
-    notices: Vec<Notice>,
-    zoom_anchor: Option<(Pos2, Option<DVec3>)>,
-    size_px: (u32, u32),
+    pub(super) replaces: bool,
+    pub(super) add_dropped: bool,
+    pub(super) notices: Vec<Notice>,
+    pub(super) zoom_anchor: Option<(Pos2, Option<DVec3>)>,
+    pub(super) size_px: (u32, u32),
     /// View and settings that could not be drawn, so that they are not tried again.
-    refused: Option<(View, FrameSettings)>,
-    device_lost: Option<String>,
-    drawn: FrameStats,
-    frames_drawn: u64,
-    frames_skipped: u64,
-    bytes_read: u64,
-    bytes_uploaded: u64,
-    shows_panel: bool,
-    shows_statistics: bool,
-    shows_help: bool,
+    pub(super) refused: Option<(View, FrameSettings)>,
+    pub(super) device_lost: Option<String>,
+    pub(super) drawn: FrameStats,
+    pub(super) frames_drawn: u64,
+    pub(super) frames_skipped: u64,
+    pub(super) bytes_read: u64,
+    pub(super) bytes_uploaded: u64,
+    pub(super) shows_panel: bool,
+    pub(super) shows_statistics: bool,
+    pub(super) shows_help: bool,
 }
 
-/// Distance within which a point counts as under the cursor, pixels.
-const PICK_RADIUS_PX: u32 = 10;
-/// Points of scrolling that make a notch of the wheel.
-const POINTS_PER_NOTCH: f64 = 50.0;
-/// Longest step of flight, so that a slow frame does not leap.
-const LONGEST_STEP_SECONDS: f64 = 0.25;
 /// Bytes of points loaded per frame: about a twentieth of a second of reading and unpacking.
 const QUOTA_BYTES: u64 = 8 << 20;
 /// Longest time between two looks at whether nodes have come.
@@ -292,75 +286,6 @@ impl Viewer {
         }
     }
 
-    fn show_files(&mut self, files: Vec<OpenedFile>) {
-        self.replace_if_asked();
-        let count = self.files.len();
-        if let Some(preview) = self.preview.take() {
-            self.files.retain(|file| !Arc::ptr_eq(&file.store, &preview));
-        }
-        let takes_over = self.files.len() < count;
-        self.files.extend(files);
-        self.take_scene(takes_over);
-        // Files that come one by one are framed together, unless somebody looks around already.
-        if !takes_over && !self.was_moved {
-            self.asked_view = Some(self.options.view);
-        }
-    }
-
-    /// Takes away what is on view if what comes is to take its place.
-    fn replace_if_asked(&mut self) {
-        if mem::take(&mut self.replaces) {
-            self.files.clear();
-            if !self.models.is_empty() {
-                self.models.clear();
-                self.renderer.set_model(models::joined(&self.models));
-            }
-            self.was_moved = false;
-        }
-    }
-
-    fn show_model(&mut self, model: OpenedModel) {
-        let replaces = self.replaces;
-        self.replace_if_asked();
-        self.models.push(model);
-        self.take_models();
-        if replaces {
-            self.take_scene(false);
-        }
-        if !self.was_moved {
-            self.asked_view = Some(self.options.view);
-        }
-    }
-
-    /// Gives the renderer the models on view.
-    fn take_models(&mut self) {
-        self.renderer.set_model(models::joined(&self.models));
-        self.is_new_scene = true;
-        self.control.set_bounds(&self.renderer.bounds());
-        self.zoom_anchor = None;
-        self.refused = None;
-    }
-
-    /// Gives the renderer what is on view. A scene that `takes_over` shows what the last one did,
-    /// only better: nothing but detail may change.
-    fn take_scene(&mut self, takes_over: bool) {
-        let sources = self.files.iter().map(|file| file.store.clone() as Arc<dyn NodeSource>);
-        let sources: Vec<_> = sources.collect();
-        let offers = |source: &Arc<dyn NodeSource>| self.settings.color.is_offered_by(&**source);
-        if !sources.iter().any(offers) {
-            self.settings.color = Default::default();
-        }
-        match takes_over {
-            true => self.renderer.replace_scene(sources),
-            false => self.renderer.set_scene(sources),
-        }
-        self.takes_over = takes_over;
-        self.is_new_scene = true;
-        self.control.set_bounds(&self.renderer.bounds());
-        self.zoom_anchor = None;
-        self.refused = None;
-    }
-
     fn take_dropped_files(&mut self, ctx: &egui::Context) {
         let dropped = ctx.input(|input| input.raw.dropped_files.clone());
         let paths = dropped.iter().map(|file| file.path().to_owned()).collect();
@@ -555,114 +480,8 @@ impl Viewer {
         }
     }
 
-    fn view(&self) -> View {
+    pub(super) fn view(&self) -> View {
         self.control.view(self.size_px.0, self.size_px.1)
-    }
-
-    /// Applies what mouse and keys ask of the camera.
-    fn move_camera(&mut self, ctx: &egui::Context, response: &Response) {
-        if let Some(preset) = self.asked_view.take() {
-            let aspect = self.view().aspect();
-            match self.asked_part.take() {
-                Some(part) => self.control.show_part(&part, preset, aspect),
-                None => self.control.show(preset, aspect),
-            }
-            self.zoom_anchor = None;
-            self.was_moved = false;
-        }
-        let before = self.control.camera();
-        self.drag(ctx, response);
-        if response.hovered() || response.dragged() {
-            self.wheel(ctx, response);
-        }
-        self.fly(ctx);
-        if self.control.camera() != before {
-            self.was_moved = true;
-        }
-    }
-
-    fn drag(&mut self, ctx: &egui::Context, response: &Response) {
-        let Some(cursor) = response.interact_pointer_pos() else {
-            self.control.end_drag();
-            return;
-        };
-        let view = self.view();
-        if response.drag_started() {
-            // Keys are the camera's again, if a field of the panel had them.
-            ctx.memory_mut(|memory| memory.stop_text_input());
-            // Where the button went down, not where the mouse has got to since.
-            let origin = ctx.input(|input| input.pointer.press_origin()).unwrap_or(cursor);
-            let (modifiers, button) = ctx.input(|input| {
-                let buttons =
-                    [PointerButton::Primary, PointerButton::Middle, PointerButton::Secondary];
-                let down = buttons.into_iter().find(|&button| input.pointer.button_down(button));
-                (input.modifiers, down)
-            });
-            if let Some(kind) = button.and_then(|button| keys::drag_kind(button, modifiers)) {
-                let at = cursor_px(origin, response.rect, ctx.pixels_per_point());
-                let point = if kind == DragKind::Look { None } else { self.pick(at) };
-                self.control.begin_drag(kind, at, point, &view);
-                self.zoom_anchor = None;
-            }
-        }
-        if response.drag_stopped() {
-            self.control.end_drag();
-        } else if response.dragged() {
-            let at = cursor_px(cursor, response.rect, ctx.pixels_per_point());
-            self.control.drag_to(at, &view);
-        }
-    }
-
-    fn wheel(&mut self, ctx: &egui::Context, response: &Response) {
-        let notches = ctx.input(|input| input.events.iter().map(notches_of).sum::<f64>());
-        let Some(cursor) = ctx.input(|input| input.pointer.latest_pos()) else { return };
-        if notches == 0.0 {
-            return;
-        }
-        if ctx.input(|input| input.pointer.button_down(PointerButton::Secondary)) {
-            self.control.change_speed(notches);
-            return;
-        }
-        let at = cursor_px(cursor, response.rect, ctx.pixels_per_point());
-        // A turn of the wheel goes on towards what was under the cursor when it began, however the
-        // picture refines meanwhile.
-        let point = match self.zoom_anchor {
-            Some((place, point)) if place.distance(cursor) < 1.0 && point.is_some() => point,
-            _ => self.pick(at),
-        };
-        self.zoom_anchor = Some((cursor, point));
-        let view = self.view();
-        self.control.zoom(notches, at, point, &view);
-    }
-
-    fn fly(&mut self, ctx: &egui::Context) {
-        if ctx.egui_wants_keyboard_input() {
-            return;
-        }
-        let (direction, modifiers, seconds) = ctx.input(|input| {
-            let direction = keys::flight(|key| input.key_down(key));
-            (direction, input.modifiers, f64::from(input.stable_dt))
-        });
-        if direction == DVec3::ZERO {
-            return;
-        }
-        self.control.fly(direction, keys::boost(modifiers), seconds.min(LONGEST_STEP_SECONDS));
-        self.zoom_anchor = None;
-        ctx.request_repaint();
-    }
-
-    /// The point of the scene at a place of the picture that is shown.
-    fn pick(&mut self, at: DVec2) -> Option<DVec3> {
-        if at.cmplt(DVec2::ZERO).any() {
-            return None;
-        }
-        match self.renderer.pick(at.x as u32, at.y as u32, PICK_RADIUS_PX) {
-            Ok(point) => point,
-            Err(error) => {
-                self.note(error.to_string(), true);
-                None
-            }
-        }
     }
 }
 
@@ -673,29 +492,6 @@ fn whole_pixels(rect: Rect, pixels_per_point: f32) -> (Rect, (u32, u32)) {
     let size = (max - min).max(egui::Vec2::ZERO);
     let rect = Rect::from_min_size((min / pixels_per_point).to_pos2(), size / pixels_per_point);
     (rect, (size.x as u32, size.y as u32))
-}
-
-/// A place on screen as a place in the picture, pixels.
-fn cursor_px(cursor: Pos2, picture: Rect, pixels_per_point: f32) -> DVec2 {
-    let at = (cursor - picture.min) * pixels_per_point;
-    DVec2::new(f64::from(at.x), f64::from(at.y))
-}
-
-/// Notches of the wheel in an event, towards the scene if positive.
-fn notches_of(event: &Event) -> f64 {
-    match event {
-        Event::MouseWheel { unit, delta, .. } => {
-            let delta = f64::from(delta.y);
-            match unit {
-                MouseWheelUnit::Point => delta / POINTS_PER_NOTCH,
-                MouseWheelUnit::Line => delta,
-                MouseWheelUnit::Page => delta * 10.0,
-            }
-        }
-        // Fingers that spread to twice their distance come near by half.
-        Event::Zoom(factor) if *factor > 0.0 => 3.5 * f64::from(factor.log2()),
-        _ => 0.0,
-    }
 }
 
 fn background(settings: &FrameSettings) -> Color32 {

@@ -14,8 +14,10 @@ mod models;
 mod opening;
 mod panels;
 mod preview;
+mod scene;
 mod statistics;
 mod statistics_box;
+mod steering;
 mod window;
 
 pub use app::{Viewer, ViewerOptions, first_settings};

@@ -139,6 +139,11 @@ impl Culler {
         &self.history
     }
 
+    /// Whether the last frame put questions whose answers the next one may use.
+    pub(super) fn queried_last(&self) -> bool {
+        self.queried_last
+    }
+
     /// How likely hidden nodes are to stay hidden, as CHC++ learned it.
     pub fn hidden_coherence(&self) -> &CoherenceTable {
         self.plus.hidden_table()

@@ -10,7 +10,7 @@ use crate::ids::TreeNodeId;
 /// The longest time that a classification is counted.
 pub(super) const LONGEST_PERSISTENCE: u16 = 64;
 
-/// One node's memory, 28 bytes.
+/// One node's memory, 32 bytes.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct NodeHistory {
     /// Frame in which the traversal reached the node; 0: never.
@@ -30,6 +30,8 @@ pub(super) struct NodeHistory {
     /// How often in a row the box was visible and nothing in it.
     pub splits: u8,
     pub visible: bool,
+    /// Whether it is drawn in the frame `last_visited` without being asked about.
+    pub forced: bool,
     /// Whether the node came back into the frustum in the frame `last_visited`.
     pub reentered: bool,
 }
@@ -86,6 +88,27 @@ impl ViewHistory {
     pub fn is_visible(&self, node: TreeNodeId) -> bool {
         let node = &self.nodes[node.index()];
         node.visible && node.last_visited == self.frame
+    }
+
+    /// Whether a frame over this tree was begun.
+    pub(super) fn fits<H: BoundingHierarchy>(&self, tree: &H) -> bool {
+        self.frame != 0 && self.nodes.len() == tree.node_limit()
+    }
+
+    /// Whether the present frame came to the node, inside of the frustum or outside.
+    pub(super) fn is_reached(&self, node: TreeNodeId) -> bool {
+        self.nodes[node.index()].last_visited == self.frame || self.is_outside(node)
+    }
+
+    /// Whether the present frame found the node outside of the frustum.
+    pub(super) fn is_outside(&self, node: TreeNodeId) -> bool {
+        self.nodes[node.index()].last_outside == self.frame
+    }
+
+    /// Whether the present frame drew the node without asking.
+    pub(super) fn was_forced(&self, node: TreeNodeId) -> bool {
+        let node = &self.nodes[node.index()];
+        node.forced && node.last_visited == self.frame
     }
 
     /// Whether frame `at` has come.

@@ -29,6 +29,7 @@ mod optimum;
 mod proxy;
 mod reference;
 mod software;
+mod states;
 mod tight;
 mod walk;
 
@@ -47,4 +48,5 @@ pub use item_buffer::{ItemBuffer, NO_ITEM};
 pub use optimum::{Frontier as HiddenFrontier, hidden_frontier};
 pub use proxy::{Proxies, meets_near_plane};
 pub use software::{Drawables, Latency, ModelLeaves, SoftwareDevice};
+pub use states::{NodeState, NodeStatus};
 pub use walk::LateAnswers;

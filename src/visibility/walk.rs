@@ -134,9 +134,11 @@ impl<'a, H: BoundingHierarchy> Walk<'a, H> {
         let was_visible = self.classification(node);
         let history = self.history.node(node);
         history.visible = false;
+        history.forced = false;
         history.last_visited = frame;
         if meets_near_plane(self.view, &bounds) {
             self.counters.near_plane_forced += 1;
+            self.history.node(node).forced = true;
             return Reached::Near { was_visible };
         }
         Reached::Inside { was_visible }
@@ -244,6 +246,7 @@ impl<'a, H: BoundingHierarchy> Walk<'a, H> {
             }
             if self.is_leaf(node) {
                 self.pull_up(node);
+                self.history.node(node).forced = true;
                 draw(self, node);
             } else {
                 open.extend(self.tree.children(node));

@@ -136,3 +136,36 @@ fn points_hide_objects() {
     let (of_all, of_culled) = (expected[0].1.objects_drawn, found[0].1.objects_drawn);
     assert!(of_all >= 10 && 4 * of_culled < of_all, "{of_culled} of {of_all} objects");
 }
+
+/// While culling is frozen another view shows what was chosen for the first, and nothing is asked.
+#[test]
+fn frozen_culling_asks_nothing_and_stays() {
+    let Some(gpu) = gpu() else { return };
+    let scene = SceneKind::City.make(3, 1);
+    let mut renderer = Renderer::on_gpu(gpu, RasterPath::Compute, 1 << 28).unwrap();
+    renderer.set_model(Arc::new(scene.model.clone()));
+    let culling = Algorithm::ChcPlus(ChcPlusOptions::default());
+    let settings = FrameSettings { culling, ..FrameSettings::default() };
+    let view = views(&scene, CameraPath::Still, 1)[0];
+    for _ in 0..12 {
+        renderer.draw_again();
+        renderer.render(&view, &settings).unwrap();
+    }
+    let first = renderer.stats().clone();
+    let asked = first.culling.expect("culling is at work").queries_issued;
+    let picture = renderer.read_picture().unwrap();
+    let states = renderer.culling_states();
+    let [_, _, hidden, outside] = esker::frame::count_states(&states);
+    assert!(asked > 0 && hidden > 0 && outside > 0);
+    renderer.freeze_culling(&view);
+    let bounds = renderer.bounds();
+    let above = View { camera: esker::frame::camera_above(&view.camera, &bounds).0, ..view };
+    renderer.render(&above, &settings).unwrap();
+    assert_eq!(renderer.stats().objects_drawn, first.objects_drawn);
+    assert_eq!(renderer.stats().triangles_drawn, first.triangles_drawn);
+    renderer.thaw_culling();
+    renderer.render(&view, &settings).unwrap();
+    let after = renderer.stats().culling.expect("culling goes on");
+    assert!(after.triangles_drawn <= first.triangles_drawn + first.triangles_drawn / 10);
+    assert_eq!(renderer.read_picture().unwrap(), picture);
+}

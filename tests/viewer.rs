@@ -423,3 +423,75 @@ fn models_are_opened_dropped_shown_and_closed_beside_points() {
     assert!(now.notices.iter().any(|n| n.contains("glTF version 7")), "{:?}", now.notices);
     assert_eq!(now.files.len(), 1, "what was on view stays");
 }
+
+/// A street of blocks, one behind the other, as a model.
+fn street(folder: &Path) -> PathBuf {
+    let path = folder.join("street.obj");
+    let (mut text, mut first) = (String::new(), 1);
+    for i in 0..40 {
+        let (x, y) = (f64::from(i % 4) * 9.0, f64::from(i / 4) * 7.0);
+        text += &format!("o block{i}\n");
+        for corner in 0..8 {
+            let side = |bit: i32| f64::from(corner >> bit & 1) * 5.0;
+            text += &format!("v {} {} {}\n", x + side(0), y + side(1), side(2));
+        }
+        for [a, b, c, d] in [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3]] {
+            text += &format!("f {} {} {} {}\n", first + a, first + b, first + c, first + d);
+        }
+        first += 8;
+    }
+    fs::write(&path, text).expect("writes");
+    path
+}
+
+#[test]
+fn what_is_culled_is_shown_on_demand_and_costs_nothing_off() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut hand = Hand::new();
+    hand.press(Key::F7);
+    assert_eq!(hand.statistics().culling_view, None, "there is nothing to look at");
+    let path = street(folder.path());
+    hand.drop_file(&path);
+    hand.settle();
+    assert_eq!(hand.statistics().frame.objects_drawn, 40);
+    // Fly in between, so that some blocks are behind.
+    (0..6).for_each(|_| hand.wheel(MIDDLE, 2.0));
+    hand.settle();
+    let before = hand.statistics();
+    assert_eq!(before.culling_view, None, "off, nothing is worked out");
+    assert!(before.frame.objects_drawn < 40 && before.frame.objects_drawn > 0);
+    let drawn = hand.frames_of(|hand| {
+        hand.press(Key::F6);
+        hand.settle();
+    });
+    assert_eq!(drawn, 0, "boxes are painted over the picture that is there");
+    let boxes = hand.statistics().culling_view.expect("it is on");
+    assert!(boxes.lines > 0 && !boxes.is_second_camera, "{boxes:?}");
+    assert_eq!(boxes.drawn, before.frame.objects_drawn as usize);
+    assert!(boxes.outside > 0 && boxes.hidden == 0, "{boxes:?}");
+    hand.press(Key::F7);
+    hand.settle();
+    let above = hand.statistics();
+    let shown = above.culling_view.expect("it is on");
+    assert!(shown.is_second_camera && shown.drawn == boxes.drawn, "{shown:?}");
+    assert_eq!(above.frame.objects_drawn, before.frame.objects_drawn, "as the first camera chose");
+    assert!(above.eye[2] > before.eye[2], "from above");
+    // Moving the second camera leaves the choice alone.
+    hand.drag(PointerButton::Primary, MIDDLE, MIDDLE + Vec2::new(90.0, 20.0));
+    hand.settle();
+    let turned = hand.statistics();
+    assert_ne!(turned.eye, above.eye);
+    assert_eq!(turned.frame.objects_drawn, before.frame.objects_drawn);
+    hand.press(Key::F7);
+    hand.press(Key::F6);
+    hand.settle();
+    let after = hand.statistics();
+    assert_eq!((after.culling_view, after.eye, after.forward), (None, before.eye, before.forward));
+    assert_eq!(after.frame.objects_drawn, before.frame.objects_drawn);
+    // A file that comes while the second camera is at work ends that.
+    hand.press(Key::F7);
+    hand.drop_file(&path);
+    hand.settle();
+    let now = hand.statistics();
+    assert_eq!((now.culling_view, now.frame.objects_drawn), (None, 40));
+}

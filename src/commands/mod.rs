@@ -33,6 +33,7 @@ mod picture_options;
 mod progress;
 mod quantities;
 mod render;
+mod show_culling;
 mod view;
 
 use std::process::ExitCode;

@@ -7,7 +7,7 @@ use clap::{Args, ValueEnum};
 use crate::frame::FrameSettings;
 use crate::passes::{EyeDome, FinishSettings, MAX_FINISH_RADIUS_PX};
 use crate::select::{SplatPolicy, SplatShape, SplatSize};
-use crate::visibility::{Algorithm, ChcOptions, ChcPlusOptions, CullingCosts};
+use crate::visibility::Algorithm;
 
 /// Options of how points look.
 #[derive(Clone, Debug, Args)]
@@ -52,6 +52,19 @@ pub(super) struct PictureOptions {
     /// view frustum, or not at all
     #[arg(long, value_enum, default_value = "auto")]
     culling: CullingChoice,
+    /// Draw boxes over the picture: what was drawn green, drawn without being asked about yellow,
+    /// hidden red, outside of the view blue. `above` shows it from a second camera above
+    #[arg(long, value_enum, value_name = "WHERE", num_args = 0..=1, default_missing_value = "boxes")]
+    show_culling: Option<CullingShow>,
+}
+
+/// Where what is culled is shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(super) enum CullingShow {
+    /// Over the picture
+    Boxes,
+    /// From a second camera above, while what is drawn stays as the first one chose it
+    Above,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -75,17 +88,8 @@ enum CullingChoice {
 
 impl CullingChoice {
     fn algorithm(self) -> Algorithm {
-        match self {
-            CullingChoice::Auto => {
-                Algorithm::Auto(ChcPlusOptions::default(), CullingCosts::default())
-            }
-            CullingChoice::None => Algorithm::None,
-            CullingChoice::Frustum => Algorithm::Frustum,
-            CullingChoice::Naive => Algorithm::Naive,
-            CullingChoice::StopAndWait => Algorithm::StopAndWait,
-            CullingChoice::Chc => Algorithm::Chc(ChcOptions::default()),
-            CullingChoice::ChcPlus => Algorithm::ChcPlus(ChcPlusOptions::default()),
-        }
+        // In the same order.
+        Algorithm::usual()[self as usize]
     }
 }
 
@@ -125,6 +129,11 @@ enum SplatChoice {
 const FIXED_PX: f64 = 2.0;
 
 impl PictureOptions {
+    /// Whether and where what is culled is shown.
+    pub(super) fn show_culling(&self) -> Option<CullingShow> {
+        self.show_culling
+    }
+
     /// Writes them into the settings of a frame.
     pub(super) fn apply(&self, settings: &mut FrameSettings) {
         settings.culling = self.culling.algorithm();

@@ -23,6 +23,7 @@ use crate::commands::models::{self, ModelArgs};
 use crate::commands::picture_options::{PictureOptions, parse_in_range};
 use crate::commands::progress::{ProgressKind, listener};
 use crate::commands::quantities::{parse_count, parse_picture_size, show_bytes};
+use crate::commands::show_culling;
 use crate::frame::{ColorMode, FrameError, FrameSettings, NodeSource, Renderer};
 use crate::geometry::{Aabb, Camera, View, ViewPreset};
 #[cfg(feature = "gpu")]
@@ -140,9 +141,16 @@ pub fn run(args: RenderArgs) -> anyhow::Result<ExitCode> {
     for (index, camera) in cameras.into_iter().enumerate() {
         let output = if is_path { numbered(&args.output, index) } else { args.output.clone() };
         let view = View { camera, width_px: args.size.0, height_px: args.size.1 };
-        let picture = drawing.picture(&view, &settings)?;
+        let mut picture = drawing.picture(&view, &settings)?;
+        let stats = drawing.renderer.stats().clone();
+        let mut culled = String::new();
+        if let Some(show) = args.picture.show_culling() {
+            let renderer = &mut drawing.renderer;
+            let counts;
+            (picture, counts) = show_culling::shown(show, renderer, &view, &settings, picture)?;
+            culled = format!("; boxes: {counts}");
+        }
         write_png(&output, &picture)?;
-        let stats = drawing.renderer.stats();
         let meshes = match drawing.model.is_empty() {
             true => String::new(),
             false => {
@@ -150,7 +158,7 @@ pub fn run(args: RenderArgs) -> anyhow::Result<ExitCode> {
             }
         };
         println!(
-            "{}: {}x{}, {meshes}{} points in {} nodes, {:.1} ms ({}, {} read)",
+            "{}: {}x{}, {meshes}{} points in {} nodes, {:.1} ms ({}, {} read){culled}",
             output.display(),
             view.width_px,
             view.height_px,
@@ -160,7 +168,7 @@ pub fn run(args: RenderArgs) -> anyhow::Result<ExitCode> {
             drawing.renderer.path().name(),
             show_bytes(stats.bytes_read),
         );
-        let mut frame = serde_json::to_value(stats)?;
+        let mut frame = serde_json::to_value(&stats)?;
         if let Some(object) = frame.as_object_mut() {
             object.insert("output".into(), json!(output));
         }
@@ -353,6 +361,18 @@ fn z_up() -> [f64; 3] {
 
 fn default_fov_y_degrees() -> f64 {
     60.0
+}
+
+/// The camera of a file with one.
+#[cfg(feature = "viewer")]
+pub(super) fn camera_in(path: &Path) -> anyhow::Result<Camera> {
+    let name = path.display();
+    let text = fs::read_to_string(path).with_context(|| {
+        format!("{name}: neither a view (top, front, left, iso) nor a camera file")
+    })?;
+    let file: CameraFile =
+        serde_json::from_str(&text).with_context(|| format!("{name}: not a camera"))?;
+    camera_of(&file, &Aabb::EMPTY).map_err(|reason| anyhow::anyhow!("{name}: {reason}"))
 }
 
 /// The cameras of the view, and whether they are a path.

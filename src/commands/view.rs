@@ -13,9 +13,10 @@ pub struct ViewArgs {
     /// else to a temporary store; those of a folder become one store beside it. Without files: an
     /// empty window to drop them on
     files: Vec<std::path::PathBuf>,
-    /// The first view: top, front, left, iso
-    #[arg(long, default_value = "iso")]
-    view: crate::geometry::ViewPreset,
+    /// The first view: top, front, left, iso, or a JSON file with a camera as `esker render` takes
+    /// it; of that eye and target count
+    #[arg(long, default_value = "iso", value_name = "PRESET|CAMERA.json")]
+    view: String,
     /// Most points drawn, such as 2M [default: 5M, 2M without a GPU]
     #[arg(long, value_parser = crate::commands::quantities::parse_count)]
     budget: Option<u64>,
@@ -83,6 +84,12 @@ pub fn run(args: ViewArgs) -> anyhow::Result<ExitCode> {
     frame.cut.error_px = args.error_px;
     frame.target_ms = args.fps.map(|fps| 1e3 / fps);
     args.picture.apply(&mut frame);
+    let preset = args.view.parse();
+    let start = match &preset {
+        Ok(_) => None,
+        Err(_) => Some(super::render::camera_in(args.view.as_ref())?),
+    };
+    let show = args.picture.show_culling();
     let exit_after = match args.exit_after.map(Duration::try_from_secs_f64) {
         None => None,
         Some(Ok(time)) => Some(time),
@@ -99,7 +106,10 @@ pub fn run(args: ViewArgs) -> anyhow::Result<ExitCode> {
         screenshot: args.screenshot,
         viewer: ViewerOptions {
             frame,
-            view: args.view,
+            view: preset.unwrap_or_default(),
+            start,
+            shows_boxes: show.is_some(),
+            second_camera: show == Some(super::picture_options::CullingShow::Above),
             opening: OpeningOptions {
                 temporary: args.temporary,
                 preview_points: Some(args.preview),

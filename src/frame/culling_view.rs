@@ -10,7 +10,7 @@ use glam::DVec3;
 
 use crate::frame::Renderer;
 use crate::frame::models::Models;
-use crate::geometry::{Containment, Frustum, View, box_edges, segment_on_screen};
+use crate::geometry::{Aabb, Camera, Containment, Frustum, View, box_edges, segment_on_screen};
 use crate::hierarchy::Bvh;
 use crate::ids::{ObjectId, TreeNodeId};
 use crate::passes::ScreenLine;
@@ -117,7 +117,7 @@ impl OcclusionDevice for NoDevice {
 
     fn draw(&mut self, _: TreeNodeId) {}
 
-    fn query(&mut self, _: &[crate::geometry::Aabb]) -> QueryId {
+    fn query(&mut self, _: &[Aabb]) -> QueryId {
         QueryId(0)
     }
 
@@ -204,6 +204,22 @@ pub fn frustum_lines(view: &View, of: &View, reach: f64) -> Vec<ScreenLine> {
     let rim = [0, 1, 2, 3].map(|at| [far[at], far[(at + 1) % 4]]);
     let edges = sides.into_iter().chain(rim);
     edges.filter_map(|edge| line(view, edge, FRUSTUM_COLOR)).collect()
+}
+
+/// A camera above and behind another one that sees what lies before it, and what it looks at.
+pub fn camera_above(first: &Camera, bounds: &Aabb) -> (Camera, DVec3) {
+    let level = DVec3::new(first.forward.x, first.forward.y, 0.0);
+    let ahead = level.try_normalize().unwrap_or(DVec3::Y);
+    let reach = frustum_reach(bounds);
+    let target = first.eye + 0.4 * reach * ahead;
+    let eye = first.eye - 0.25 * reach * ahead + 0.75 * reach * DVec3::Z;
+    (Camera::looking_at(eye, target, DVec3::Z, first.fov_y_rad, first.near), target)
+}
+
+/// How far the frustum of the first camera is drawn.
+pub fn frustum_reach(bounds: &Aabb) -> f64 {
+    let diagonal = bounds.diagonal();
+    if diagonal > 0.0 { 0.5 * diagonal } else { 1.0 }
 }
 
 fn line(view: &View, [from, to]: [DVec3; 2], color: [u8; 3]) -> Option<ScreenLine> {

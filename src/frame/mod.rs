@@ -33,7 +33,9 @@ mod workload;
 pub use calibration::{Calibration, FrameTime};
 pub use color::{ColorMode, class_color};
 pub use counted::CountedWork;
-pub use culling_view::{FRUSTUM_COLOR, box_lines, count_states, frustum_lines, state_color};
+pub use culling_view::{
+    FRUSTUM_COLOR, box_lines, camera_above, count_states, frustum_lines, frustum_reach, state_color,
+};
 pub use pacing::PacingStats;
 pub use reference::reference_picture;
 pub use renderer::Renderer;

@@ -167,8 +167,11 @@ impl Renderer {
             models.visible.clone_from(&frozen.objects);
         } else {
             models.choose(view, culling);
+            // The CPU asks nothing.
             #[cfg(feature = "gpu")]
-            models.prepare_culling(culling);
+            if matches!(self.device, Device::Gpu(_)) {
+                models.prepare_culling(culling);
+            }
         }
         self.stats.objects_culled = (models.model.objects.len() - models.visible.len()) as u32;
     }

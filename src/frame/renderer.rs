@@ -246,6 +246,11 @@ impl Renderer {
         Ok(&self.stats)
     }
 
+    /// Has the next frame drawn even if the last one still holds: culling learns from it.
+    pub fn draw_again(&mut self) {
+        self.last = None;
+    }
+
     /// Draws a picture of any size and brings it to memory, in parts if it is too large for one
     /// target. `distances` of the picture are empty, unless it is drawn on the CPU in one part.
     pub fn render_picture(

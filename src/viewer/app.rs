@@ -13,11 +13,13 @@ use egui::{Color32, Event, Key, Pos2, Rect, Sense, Ui};
 use glam::DVec3;
 
 use crate::frame::{FrameError, FrameSettings, FrameStats, Loading, NodeSource, Renderer};
-use crate::geometry::{Aabb, View, ViewPreset};
+use crate::geometry::{Aabb, Camera, View, ViewPreset};
 use crate::gpu::GpuError;
 use crate::store::Store;
 use crate::viewer::CameraControl;
 use crate::viewer::canvas::Canvas;
+use crate::viewer::culling_panel::{self, CullingAction};
+use crate::viewer::culling_view::CullingView;
 use crate::viewer::keys::{self, KeyCommand};
 use crate::viewer::models::{self, OpenedModel};
 use crate::viewer::opening::{Advance, KeptIn, Opened, OpenedFile, Opening, OpeningOptions};
@@ -32,6 +34,12 @@ pub struct ViewerOptions {
     pub frame: FrameSettings,
     /// The first view.
     pub view: ViewPreset,
+    /// The first camera, if not a preset's; its field of view is the window's own.
+    pub start: Option<Camera>,
+    /// Whether boxes of what is culled are shown from the start.
+    pub shows_boxes: bool,
+    /// Whether the second camera is gone to once the first one's culling is at rest.
+    pub second_camera: bool,
     /// How files are opened.
     pub opening: OpeningOptions,
     /// When the program began.
@@ -74,6 +82,8 @@ pub struct Viewer {
     pub(super) notices: Vec<Notice>,
     pub(super) zoom_anchor: Option<(Pos2, Option<DVec3>)>,
     pub(super) size_px: (u32, u32),
+    /// The view of the last frame that was asked for.
+    last_view: Option<View>,
     /// View and settings that could not be drawn, so that they are not tried again.
     pub(super) refused: Option<(View, FrameSettings)>,
     pub(super) device_lost: Option<String>,
@@ -85,6 +95,7 @@ pub struct Viewer {
     pub(super) shows_panel: bool,
     pub(super) shows_statistics: bool,
     pub(super) shows_help: bool,
+    pub(super) culling_view: CullingView,
 }
 
 /// Bytes of points loaded per frame: about a twentieth of a second of reading and unpacking.
@@ -125,6 +136,7 @@ impl Viewer {
             notices: Vec::new(),
             zoom_anchor: None,
             size_px: (0, 0),
+            last_view: None,
             refused: None,
             device_lost: None,
             drawn: FrameStats::default(),
@@ -135,6 +147,7 @@ impl Viewer {
             shows_panel: true,
             shows_statistics: true,
             shows_help: false,
+            culling_view: CullingView::new(options.shows_boxes),
             options,
         }
     }
@@ -235,6 +248,8 @@ impl Viewer {
             is_opening: self.opening.is_some(),
             milestones: self.milestones.clone(),
             frame: self.drawn.clone(),
+            culling: self.settings.culling.name(),
+            culling_view: self.culling_view.statistics(),
             notices: self.notices.iter().map(|notice| notice.text.clone()).collect(),
         }
     }
@@ -309,13 +324,22 @@ impl Viewer {
         });
         for command in pressed.into_iter().filter_map(keys::command) {
             match command {
-                KeyCommand::Show(preset) => self.asked_view = Some(preset),
+                KeyCommand::Show(preset) => self.ask_view(preset),
                 KeyCommand::Help => self.shows_help = !self.shows_help,
                 KeyCommand::Statistics => self.shows_statistics = !self.shows_statistics,
                 KeyCommand::Panel => self.shows_panel = !self.shows_panel,
                 KeyCommand::WriteStatistics => self.write_statistics(),
+                KeyCommand::Boxes => self.show_boxes(!self.culling_view.shows_boxes),
+                KeyCommand::SecondCamera => {
+                    self.show_second_camera(!self.culling_view.is_second_camera());
+                }
             }
         }
+    }
+
+    fn ask_view(&mut self, preset: ViewPreset) {
+        self.asked_view = Some(preset);
+        self.options.start = None;
     }
 
     fn write_statistics(&mut self) {
@@ -331,12 +355,19 @@ impl Viewer {
     fn panel(&mut self, ui: &mut Ui) {
         ui.add_space(4.0);
         if let Some(preset) = panels::views(ui) {
-            self.asked_view = Some(preset);
+            self.ask_view(preset);
         }
         ui.separator();
         let clouds = self.files.iter().map(|file| file.store.as_ref() as &dyn NodeSource);
         let colors = panels::offered_colors(clouds);
         panels::settings(ui, &mut self.settings, &colors);
+        ui.separator();
+        let (boxes, second) = (self.culling_view.shows_boxes, self.culling_view.is_second_camera());
+        match culling_panel::culling(ui, &mut self.settings.culling, boxes, second) {
+            Some(CullingAction::Boxes(shows)) => self.show_boxes(shows),
+            Some(CullingAction::SecondCamera(shows)) => self.show_second_camera(shows),
+            None => {}
+        }
         ui.separator();
         match panels::files(ui, &self.files) {
             Some(FileAction::Show(index)) => {
@@ -394,6 +425,8 @@ impl Viewer {
                 let whole = Rect::from_min_max(Pos2::ZERO, Pos2::new(1.0, 1.0));
                 ui.painter().image(texture, rect, whole, Color32::WHITE);
             }
+            self.paint_culling(ui, rect);
+            self.go_to_asked_second_camera(&ctx);
             if self.shows_statistics {
                 statistics_box::show(&ctx, rect, &self.statistics());
             }
@@ -425,6 +458,11 @@ impl Viewer {
         if mem::take(&mut self.takes_over) {
             settings.loading = Loading::All;
         }
+        let moved = self.last_view.replace(view) != Some(view);
+        if self.settles_culling(moved) {
+            self.renderer.draw_again();
+            ctx.request_repaint();
+        }
         match self.renderer.render(&view, &settings) {
             Ok(stats) if stats.unchanged => {
                 self.frames_skipped += 1;
@@ -447,6 +485,7 @@ impl Viewer {
                 self.bytes_read += stats.bytes_read;
                 self.bytes_uploaded += stats.bytes_uploaded;
                 self.canvas.take(ctx, &self.renderer);
+                self.follow_culling();
                 if mem::take(&mut self.is_new_scene) {
                     let has_preview = self.files.iter().any(|f| f.kept_in == KeptIn::Preview);
                     self.reach(if has_preview { "preview" } else { "scene" });

@@ -135,6 +135,13 @@ impl CameraControl {
         self.drag = None;
     }
 
+    /// Goes to where a camera stands, as far as it is level; what it looks at is turned around.
+    pub fn go_to(&mut self, camera: &Camera, target: DVec3) {
+        self.pose = Pose::of(camera);
+        self.pivot = target;
+        self.drag = None;
+    }
+
     /// Takes another scene's size; the camera stays where it is.
     pub fn set_bounds(&mut self, bounds: &Aabb) {
         self.bounds = *bounds;

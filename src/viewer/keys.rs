@@ -7,7 +7,7 @@ use crate::geometry::ViewPreset;
 use crate::viewer::DragKind;
 
 /// What the help shows.
-pub const HELP: [(&str, &str); 15] = [
+pub const HELP: [(&str, &str); 17] = [
     ("Left drag", "orbit around the point under the cursor"),
     ("Middle or Shift + left drag", "pan: the point stays under the cursor"),
     ("Right drag", "look around"),
@@ -22,6 +22,8 @@ pub const HELP: [(&str, &str); 15] = [
     ("F2", "statistics"),
     ("F3", "panel"),
     ("F5", "write the file of --stats"),
+    ("F6", "boxes of what is culled"),
+    ("F7", "second camera: look at what the first one culls"),
     ("Drop a file", "open a store or a scan"),
 ];
 
@@ -38,6 +40,10 @@ pub enum KeyCommand {
     Panel,
     /// Write the statistics file.
     WriteStatistics,
+    /// Show or hide the boxes of what is culled.
+    Boxes,
+    /// Go to the second camera, or back to the first.
+    SecondCamera,
 }
 
 /// The command of a key.
@@ -52,6 +58,8 @@ pub fn command(key: Key) -> Option<KeyCommand> {
         Key::F2 => KeyCommand::Statistics,
         Key::F3 => KeyCommand::Panel,
         Key::F5 => KeyCommand::WriteStatistics,
+        Key::F6 => KeyCommand::Boxes,
+        Key::F7 => KeyCommand::SecondCamera,
         _ => return None,
     })
 }

@@ -7,6 +7,8 @@
 mod app;
 mod camera_control;
 mod canvas;
+mod culling_panel;
+mod culling_view;
 mod kept;
 mod keys;
 mod look_panel;
@@ -23,6 +25,7 @@ mod window;
 pub use app::{Viewer, ViewerOptions, first_settings};
 pub use camera_control::{CameraControl, DragKind};
 pub use canvas::Canvas;
+pub use culling_view::CullingViewStatistics;
 pub use models::OpenedModel;
 pub use opening::{Advance, KeptIn, ListFolder, Opened, OpenedFile, Opening, OpeningOptions, Wake};
 pub use statistics::{Milestone, Statistics};

@@ -168,8 +168,9 @@ pub fn settings(ui: &mut Ui, settings: &mut FrameSettings, colors: &[ColorMode])
     });
     look_panel::look(ui, settings);
     if ui.button("Defaults").clicked() {
-        let FrameSettings { color, background, loading, .. } = settings.clone();
-        *settings = FrameSettings { color, background, loading, ..FrameSettings::default() };
+        let FrameSettings { color, background, loading, culling, .. } = settings.clone();
+        let default = FrameSettings::default();
+        *settings = FrameSettings { color, background, loading, culling, ..default };
     }
 }
 

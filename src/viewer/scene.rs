@@ -51,6 +51,7 @@ impl Viewer {
 
     /// Gives the renderer the models on view.
     pub(super) fn take_models(&mut self) {
+        self.leave_second_camera();
         self.renderer.set_model(models::joined(&self.models));
         self.is_new_scene = true;
         self.control.set_bounds(&self.renderer.bounds());
@@ -61,6 +62,7 @@ impl Viewer {
     /// Gives the renderer what is on view. A scene that `takes_over` shows what the last one did,
     /// only better: nothing but detail may change.
     pub(super) fn take_scene(&mut self, takes_over: bool) {
+        self.leave_second_camera();
         let sources = self.files.iter().map(|file| file.store.clone() as Arc<dyn NodeSource>);
         let sources: Vec<_> = sources.collect();
         let offers = |source: &Arc<dyn NodeSource>| self.settings.color.is_offered_by(&**source);

@@ -6,6 +6,7 @@ use anyhow::Context;
 use serde::Serialize;
 
 use crate::frame::FrameStats;
+use crate::viewer::culling_view::CullingViewStatistics;
 use crate::viewer::opening::KeptIn;
 
 /// Something that was waited for, and when it was there.
@@ -72,6 +73,11 @@ pub struct Statistics {
     pub is_opening: bool,
     /// The first things that happened, in order.
     pub milestones: Vec<Milestone>,
+    /// How hidden objects are found.
+    pub culling: &'static str,
+    /// The view of what is culled; absent while it is off.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub culling_view: Option<CullingViewStatistics>,
     /// The last frame that was drawn.
     pub frame: FrameStats,
     /// What went wrong so far.

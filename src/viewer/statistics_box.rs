@@ -37,6 +37,19 @@ fn statistic_rows(statistics: &Statistics) -> Vec<(String, String)> {
         row("triangles drawn", of(triangles, grouped(statistics.triangles)));
         row("objects drawn", of(objects, grouped(statistics.objects)));
     }
+    if let Some(culling) = &frame.culling {
+        row("hidden objects", statistics.culling.to_owned());
+        row("  nodes reached", grouped(culling.nodes_visited));
+        let decided =
+            culling.hidden_nodes_decided - culling.pulled_down.min(culling.hidden_nodes_decided);
+        row("  hidden nodes", grouped(decided));
+        row("  questions", grouped(culling.queries_issued));
+        let parts = [culling.queries_visible_leaf, culling.queries_hidden, culling.multiqueries];
+        let [leaves, nodes, groups] = parts.map(grouped);
+        row("    leaf / node / group", format!("{leaves} / {nodes} / {groups}"));
+        row("  rounds, waits", format!("{}, {}", culling.rounds, culling.blocking_waits));
+        row("  at the eye, unasked", format!("{} nodes", grouped(culling.near_plane_forced)));
+    }
     row("frame (cpu)", milliseconds(frame.frame_ms));
     for clock in ["cpu", "gpu"] {
         for pass in frame.passes.iter().filter(|pass| pass.clock == clock) {

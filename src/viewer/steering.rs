@@ -19,9 +19,13 @@ impl Viewer {
     pub(super) fn move_camera(&mut self, ctx: &egui::Context, response: &Response) {
         if let Some(preset) = self.asked_view.take() {
             let aspect = self.view().aspect();
-            match self.asked_part.take() {
-                Some(part) => self.control.show_part(&part, preset, aspect),
-                None => self.control.show(preset, aspect),
+            match (self.asked_part.take(), self.options.start) {
+                (Some(part), _) => self.control.show_part(&part, preset, aspect),
+                (None, Some(camera)) => {
+                    let ahead = 0.05 * self.renderer.bounds().diagonal().max(0.0);
+                    self.control.go_to(&camera, camera.eye + camera.forward * ahead);
+                }
+                (None, None) => self.control.show(preset, aspect),
             }
             self.zoom_anchor = None;
             self.was_moved = false;

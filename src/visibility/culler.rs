@@ -50,6 +50,20 @@ impl Algorithm {
         }
     }
 
+    /// Those that a user chooses among, with the options that are usual.
+    pub fn usual() -> [Algorithm; 7] {
+        let plus = ChcPlusOptions::default();
+        [
+            Algorithm::Auto(plus, CullingCosts::default()),
+            Algorithm::None,
+            Algorithm::Frustum,
+            Algorithm::Naive,
+            Algorithm::StopAndWait,
+            Algorithm::Chc(ChcOptions::default()),
+            Algorithm::ChcPlus(plus),
+        ]
+    }
+
     fn leaf_cost(&self) -> u64 {
         match self {
             Algorithm::Chc(options) | Algorithm::NearOptimal(options, _) => options.leaf_cost,

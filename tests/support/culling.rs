@@ -35,7 +35,7 @@ impl Stage {
 
     /// Frames in a row from the middle of a walk, `step` metres apart. 0.1 m is 6 m/s at 60 frames a
     /// second.
-    #[allow(dead_code)] // One of the two test files that share this needs it.
+    #[allow(dead_code)] // Not all test files that share this need it.
     pub fn steady_walk(&self, frames: u32, step: f64) -> Vec<View> {
         let length: f64 = self.scene.walk.windows(2).map(|pair| pair[0].distance(pair[1])).sum();
         let all = ((length / step) as u32).max(frames);
@@ -44,6 +44,7 @@ impl Stage {
     }
 
     /// Runs an algorithm along views; `each` sees every frame's counters, leaves and picture.
+    #[allow(dead_code)] // As above.
     pub fn run(
         &self,
         algorithm: Algorithm,
@@ -66,6 +67,7 @@ pub fn view(camera: Camera) -> View {
 }
 
 /// Runs an algorithm over any tree.
+#[allow(dead_code)] // As above.
 pub fn run<H: BoundingHierarchy, D: Drawables>(
     tree: &H,
     drawables: D,
@@ -86,6 +88,7 @@ pub fn run<H: BoundingHierarchy, D: Drawables>(
 }
 
 /// Sums of counters.
+#[allow(dead_code)] // As above.
 pub fn sum(counters: &[CullCounters]) -> CullCounters {
     let mut all = CullCounters::default();
     counters.iter().for_each(|counters| all.add(counters));

@@ -18,7 +18,7 @@ pub fn draw_line(picture: &mut Picture, line: &ScreenLine) {
     let (dx, dy) = (x1 - x0, y1 - y0);
     let length = dx.abs().max(dy.abs());
     // Ends far beside the picture would take as many steps; lines come cut to it.
-    if !(length <= 4.0 * picture.width_px.max(picture.height_px) as f32) {
+    if length.is_nan() || length > 4.0 * picture.width_px.max(picture.height_px) as f32 {
         return;
     }
     let steps = length.ceil().max(1.0);

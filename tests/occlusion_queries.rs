@@ -137,6 +137,61 @@ fn points_hide_objects() {
     assert!(of_all >= 10 && 4 * of_culled < of_all, "{of_culled} of {of_all} objects");
 }
 
+/// A single picture asks nothing with algorithms that learn from frame to frame.
+#[test]
+fn a_single_picture_asks_nothing_for_the_next() {
+    let Some(gpu) = gpu() else { return };
+    let scene = SceneKind::City.make(2, 1);
+    let view = views(&scene, CameraPath::Still, 1)[0];
+    let picture = |culling, more_follow| {
+        let mut renderer = Renderer::on_gpu(gpu.clone(), RasterPath::Compute, 1 << 28).unwrap();
+        renderer.set_model(Arc::new(scene.model.clone()));
+        let settings = FrameSettings { culling, more_follow, ..FrameSettings::default() };
+        let picture = renderer.render_picture(&view, &settings).unwrap();
+        let asked = renderer.stats().culling.map_or(0, |counters| counters.queries_issued);
+        (picture, asked)
+    };
+    let [auto, _, frustum, _, _, chc, plus] = Algorithm::usual();
+    let (expected, _) = picture(frustum, true);
+    for (culling, more_follow, asks) in [
+        (auto, false, false),
+        (chc, false, false),
+        (plus, false, false),
+        (auto, true, false),
+        (chc, true, true),
+        (plus, true, true),
+    ] {
+        let (found, asked) = picture(culling, more_follow);
+        assert_eq!(found, expected, "{culling:?}");
+        assert_eq!(asked > 0, asks, "{culling:?}: {asked}");
+    }
+}
+
+/// `auto` measures what drawing and asking cost, in frames of attempts only.
+#[test]
+fn prices_are_measured_where_asking_is_tried() {
+    let Some(gpu) = gpu() else { return };
+    let scene = SceneKind::City.make(4, 1);
+    let mut renderer = Renderer::on_gpu(gpu, RasterPath::Compute, 1 << 28).unwrap();
+    renderer.set_model(Arc::new(scene.model.clone()));
+    let [culling, ..] = Algorithm::usual();
+    let settings = FrameSettings { culling, ..FrameSettings::default() };
+    let views: Vec<View> = views(&scene, CameraPath::Walk, 900)[300..360].to_vec();
+    for view in &views {
+        renderer.render(view, &settings).unwrap();
+    }
+    let costs = renderer.stats().culling_costs.expect("the attempt was timed");
+    println!("{costs:?}");
+    assert!(costs.fits > 0 && costs.timed_frames >= 8, "{costs:?}");
+    assert!(costs.timed_frames <= 25, "most frames wait for nothing: {costs:?}");
+    for price in [costs.triangle_ns, costs.leaf_ns, costs.question_ns, costs.wait_ns] {
+        assert!(price.is_finite() && price > 0.0, "{costs:?}");
+    }
+    let frustum = FrameSettings::default();
+    renderer.render(&views[0], &frustum).unwrap();
+    assert!(renderer.stats().culling_costs.is_none(), "the frustum alone measures nothing");
+}
+
 /// While culling is frozen another view shows what was chosen for the first, and nothing is asked.
 #[test]
 fn frozen_culling_asks_nothing_and_stays() {

@@ -14,6 +14,7 @@
 //! is said where it stands and argued in `docs/rendering-time.md`.
 
 mod branch;
+mod culling_prices;
 mod fit;
 mod footprint;
 mod frame_model;
@@ -32,6 +33,7 @@ mod vertex_cache;
 mod view_cell;
 
 pub use branch::{choose_alternative, still_needed, ticks_left};
+pub use culling_prices::{CullingPrices, CullingWork, FittedPrices};
 pub use footprint::{Footprint, sphere_footprint, visible_angle};
 pub use frame_model::{CpuTime, FrameModel, GpuTime, OverlapSample};
 pub use guard::{Drift, Guard};

@@ -133,9 +133,11 @@ pub fn run(args: RenderArgs) -> anyhow::Result<ExitCode> {
     let (meshes, points) = models::split(inputs::expand(&args.files)?);
     let model = Arc::new(models::load(&meshes, &args.models.options())?);
     let (sources, _temporary) = open_sources(&args, points)?;
-    let settings = frame_settings(&args, &sources)?;
+    let mut settings = frame_settings(&args, &sources)?;
     let bounds = sources.iter().fold(model.bounds(), |all, source| all.union(&source.bounds()));
     let (cameras, is_path) = cameras(&args, &bounds)?;
+    // A single picture has no use for answers.
+    settings.more_follow = is_path;
     let mut drawing = Drawing::new(&args, sources, model)?;
     let mut frames = Vec::new();
     for (index, camera) in cameras.into_iter().enumerate() {

@@ -130,10 +130,12 @@ impl OnGpu {
             if let Some((culling, queries, meshes, view)) = culled {
                 // Points are drawn by now: they hide objects too.
                 let over = finish.finished(targets);
-                let ModelCulling { tree, culler } = culling;
+                let ModelCulling { tree, culler, meter } = culling;
+                let begun = meter.begin(&gpu, culler)?;
                 let mut drawing = CulledMeshes::new(&gpu, queries, meshes, tree, frame, over);
                 culler.frame(tree, view, &mut drawing);
                 mesh_counts = drawing.finish()?;
+                meter.end(&gpu, culler, begun)?;
                 mesh_bytes = meshes.take_uploaded_bytes();
             }
             let counts = DrawCounts {

@@ -157,6 +157,7 @@ impl Renderer {
                 {
                     let counters = self.stats.culling.get_or_insert_default();
                     counters.add(culling.culler.counters());
+                    self.stats.culling_costs = culling.meter.stats();
                 }
                 self.stats.objects_drawn += meshes.objects;
                 self.stats.triangles_drawn += meshes.triangles;

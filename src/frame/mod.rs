@@ -12,6 +12,8 @@ mod calibration;
 mod calibration_cloud;
 mod color;
 mod counted;
+#[cfg(feature = "gpu")]
+mod culling_costs;
 mod culling_view;
 mod device;
 mod drawing;
@@ -33,6 +35,8 @@ mod workload;
 pub use calibration::{Calibration, FrameTime};
 pub use color::{ColorMode, class_color};
 pub use counted::CountedWork;
+#[cfg(feature = "gpu")]
+pub use culling_costs::CullingCostStats;
 pub use culling_view::{
     FRUSTUM_COLOR, box_lines, camera_above, count_states, frustum_lines, frustum_reach, state_color,
 };

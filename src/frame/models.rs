@@ -8,9 +8,11 @@ use std::sync::Arc;
 
 use glam::DAffine3;
 
-use crate::frame::Renderer;
+#[cfg(feature = "gpu")]
+use crate::frame::culling_costs::CostMeter;
 use crate::frame::culling_view::Explained;
 use crate::frame::device::Device;
+use crate::frame::{FrameSettings, Renderer};
 use crate::geometry::{Aabb, Containment, Frustum, View};
 use crate::hierarchy::Bvh;
 use crate::ids::ObjectId;
@@ -40,6 +42,7 @@ pub(super) struct Models {
 pub(super) struct ModelCulling {
     pub(super) tree: Bvh,
     pub(super) culler: Culler,
+    pub(super) meter: CostMeter,
 }
 
 impl Models {
@@ -85,17 +88,23 @@ impl Models {
 #[cfg(feature = "gpu")]
 impl Models {
     /// Gets the tree and the memory of occlusion culling ready, or drops them.
-    fn prepare_culling(&mut self, algorithm: &Algorithm) {
+    fn prepare_culling(&mut self, algorithm: &Algorithm, more_follow: bool) {
         if matches!(algorithm, Algorithm::None | Algorithm::Frustum) {
             self.culling = None;
             return;
         }
         if let Some(culling) = &mut self.culling {
-            culling.culler.set_algorithm(*algorithm);
+            let algorithm = culling.meter.priced(algorithm);
+            culling.culler.set_algorithm(algorithm);
+            culling.culler.set_more_follow(more_follow);
             return;
         }
         let tree = self.tree();
-        self.culling = Some(Box::new(ModelCulling { tree, culler: Culler::new(*algorithm) }));
+        self.culling = {
+            let mut culler = Culler::new(*algorithm);
+            culler.set_more_follow(more_follow);
+            Some(Box::new(ModelCulling { tree, culler, meter: CostMeter::default() }))
+        };
     }
 }
 
@@ -161,16 +170,16 @@ impl Renderer {
     }
 
     /// Chooses the objects of a frame.
-    pub(super) fn choose_objects(&mut self, view: &View, culling: &Algorithm) {
+    pub(super) fn choose_objects(&mut self, view: &View, settings: &FrameSettings) {
         let Some(models) = &mut self.models else { return };
         if let Some(frozen) = &self.frozen {
             models.visible.clone_from(&frozen.objects);
         } else {
-            models.choose(view, culling);
+            models.choose(view, &settings.culling);
             // The CPU asks nothing.
             #[cfg(feature = "gpu")]
             if matches!(self.device, Device::Gpu(_)) {
-                models.prepare_culling(culling);
+                models.prepare_culling(&settings.culling, settings.more_follow);
             }
         }
         self.stats.objects_culled = (models.model.objects.len() - models.visible.len()) as u32;

@@ -369,7 +369,7 @@ impl Renderer {
             self.fill_table(&cuts, view, settings);
             #[cfg(feature = "gpu")]
             self.add_alternative(view, settings);
-            self.choose_objects(view, &settings.culling);
+            self.choose_objects(view, settings);
             self.note_cuts(&cuts);
             cuts.into_iter().for_each(|cut| self.scratch.recycle(cut));
         } else {

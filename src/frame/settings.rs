@@ -112,6 +112,9 @@ pub struct FrameSettings {
     /// Over what time a node appears whose points arrive after the scene was first drawn. Default
     /// zero: at once.
     pub appear: Duration,
+    /// Whether further frames follow that look much like this one, so that culling may ask for their
+    /// sake. Default: yes. Without, a frame that has no last one asks nothing.
+    pub more_follow: bool,
     /// How hidden objects of models are found. Default: by the view frustum alone. The CPU renderer
     /// knows only that, and everything.
     pub culling: Algorithm,
@@ -141,6 +144,7 @@ impl Default for FrameSettings {
             depth: false,
             appear: Duration::ZERO,
             checkpoint: InFrameCheckpoint::Auto,
+            more_follow: true,
             culling: Algorithm::Frustum,
         }
     }

@@ -30,6 +30,10 @@ pub struct FrameStats {
     /// What occlusion culling did; absent where the view frustum alone decided.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub culling: Option<CullCounters>,
+    /// What drawing and asking cost, as far as culling has measured it.
+    #[cfg(feature = "gpu")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub culling_costs: Option<crate::frame::CullingCostStats>,
     /// Triangles of the objects drawn, hidden ones included.
     pub triangles_drawn: u64,
     /// Draw calls.

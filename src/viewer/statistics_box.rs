@@ -50,6 +50,12 @@ fn statistic_rows(statistics: &Statistics) -> Vec<(String, String)> {
         row("  rounds, waits", format!("{}, {}", culling.rounds, culling.blocking_waits));
         row("  at the eye, unasked", format!("{} nodes", grouped(culling.near_plane_forced)));
     }
+    if let Some(costs) = &frame.culling_costs {
+        let prices = [costs.triangle_ns, costs.leaf_ns, costs.question_ns, costs.wait_ns];
+        let [triangle, leaf, question, wait] = prices.map(|ns| format!("{:.2}", 1e-3 * ns));
+        row("  triangle, leaf", format!("{triangle}, {leaf} µs"));
+        row("  question, wait", format!("{question}, {wait} µs"));
+    }
     row("frame (cpu)", milliseconds(frame.frame_ms));
     for clock in ["cpu", "gpu"] {
         for pass in frame.passes.iter().filter(|pass| pass.clock == clock) {

@@ -3,6 +3,7 @@
 use glam::DVec3;
 
 use crate::geometry::{Aabb, View};
+use crate::visibility::CullCounters;
 
 /// Costs in any common unit, such as nanoseconds; measured on the device where it matters.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,6 +37,18 @@ impl Default for CullingCosts {
 }
 
 impl CullingCosts {
+    /// Cost of drawing leaves with so many triangles together.
+    pub fn of_leaves(&self, leaves: u64, triangles: u64) -> f64 {
+        self.leaf * leaves as f64 + self.triangle * triangles as f64
+    }
+
+    /// Cost of a frame: what it drew, asked and waited for.
+    pub fn of_frame(&self, counters: &CullCounters) -> f64 {
+        self.of_leaves(counters.leaves_drawn, counters.triangles_drawn)
+            + self.query * counters.queries_issued as f64
+            + self.round * counters.blocking_waits as f64
+    }
+
     /// Cost of asking about a box that covers this many pixels.
     pub fn of_query(&self, pixels: f64) -> f64 {
         self.query + self.query_pixel * pixels

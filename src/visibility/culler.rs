@@ -64,6 +64,17 @@ impl Algorithm {
         ]
     }
 
+    /// Whether a frame without a last one draws all that lies in the frustum.
+    fn seeds(&self) -> bool {
+        match self {
+            Algorithm::Chc(options) | Algorithm::NearOptimal(options, _) => {
+                options.seed_first_frame
+            }
+            Algorithm::ChcPlus(options) | Algorithm::Auto(options, _) => options.seed_first_frame,
+            _ => false,
+        }
+    }
+
     fn leaf_cost(&self) -> u64 {
         match self {
             Algorithm::Chc(options) | Algorithm::NearOptimal(options, _) => options.leaf_cost,
@@ -89,6 +100,7 @@ pub struct Culler {
     switch: AutoSwitch,
     last_camera: Option<Camera>,
     queried_last: bool,
+    more_follow: bool,
     drawn: Vec<TreeNodeId>,
     counters: CullCounters,
 }
@@ -105,6 +117,7 @@ impl Culler {
             switch: AutoSwitch::default(),
             last_camera: None,
             queried_last: false,
+            more_follow: true,
             drawn: Vec::new(),
             counters: CullCounters::default(),
         }
@@ -122,6 +135,13 @@ impl Culler {
             self.forget();
         }
         self.algorithm = algorithm;
+    }
+
+    /// Says whether frames follow that look much like the next one. If none do, a frame without a
+    /// last one draws what lies in the frustum and asks nothing: the answers would serve nobody.
+    /// Algorithms that know no last frame ask all the same.
+    pub fn set_more_follow(&mut self, more_follow: bool) {
+        self.more_follow = more_follow;
     }
 
     /// Forgets what was seen: the scene was rebuilt.
@@ -175,7 +195,8 @@ impl Culler {
         view: &View,
         device: &mut dyn OcclusionDevice,
     ) -> CullCounters {
-        let coherent = self.queried_last && self.is_coherent(tree, &view.camera);
+        let near_last = self.is_coherent(tree, &view.camera);
+        let coherent = self.queried_last && near_last;
         self.last_camera = Some(view.camera);
         self.counters = CullCounters::default();
         self.drawn.clear();
@@ -190,7 +211,9 @@ impl Culler {
         };
         let mut walk = Walk::new(tree, view, self.algorithm.leaf_cost(), parts);
         let mut queries = false;
+        let in_vain = !self.more_follow && !coherent && self.algorithm.seeds();
         match self.algorithm {
+            _ if in_vain => reference::frustum(&mut walk),
             Algorithm::None => reference::everything(&mut walk),
             Algorithm::Frustum => reference::frustum(&mut walk),
             Algorithm::Naive => reference::naive(&mut walk, 0),
@@ -210,7 +233,7 @@ impl Culler {
                 queries = true;
             }
             Algorithm::Auto(options, _) => {
-                queries = self.switch.wants_queries();
+                queries = self.switch.begin_frame(near_last);
                 if queries {
                     self.plus.frame(&mut walk, &options, !coherent);
                 } else {
@@ -226,9 +249,13 @@ impl Culler {
         self.queried_last = queries;
         self.counters.state_switches = device.state_switches();
         self.counters.rounds = device.rounds();
-        if let Algorithm::Auto(options, costs) = self.algorithm {
-            let in_frustum = InFrustum::count(tree, view, options.leaf_cost);
-            self.switch.observe(&self.counters, &in_frustum, &costs);
+        if in_vain {
+            // Answers that nobody will read.
+            self.chc.forget();
+            self.plus.forget();
+        } else if let Algorithm::Auto(options, costs) = self.algorithm {
+            let in_frustum = || InFrustum::count(tree, view, options.leaf_cost);
+            self.switch.observe(&self.counters, &costs, in_frustum);
         }
         self.counters
     }

@@ -1,20 +1,27 @@
-//! Which pixels a triangle covers, and at what depth: the rules of the GPU, done exactly.
+//! Which pixels a triangle covers: the rules of the GPU, done exactly; the one place where pixels of
+//! triangles are found.
 //!
 //! A pixel is covered if its centre lies inside; a centre on an edge belongs to the triangle whose
 //! top or left edge it is, so neighbours share no pixel and leave none. Corners are snapped to 1/256
-//! pixel, edges are integers from then on. Depth is reversed: near / distance, linear on screen.
-//! Triangles that cross the near plane or reach far outside the picture are clipped first.
+//! pixel, edges are integers from then on. Triangles that cross the near plane or reach far outside
+//! the picture are cut first.
+//!
+//! [`clip`] and [`Coverage`] leave to the caller in which precision corners come and what is made of
+//! a pixel; [`triangle`] is the two with corners in f64 and depths, for the exact item buffer. The
+//! renderer on the CPU has its corners and depths as the shaders have them (`passes::rasterize`).
 //!
 //! Not here: what is done with a pixel; culling of whole objects.
 //! After: Pineda, "A parallel algorithm for polygon rasterization", 1988.
 
+use std::ops::Range;
+
 use glam::DVec4;
 
 /// Steps of a snapped coordinate per pixel.
-const STEPS: i64 = 256;
+pub const STEPS: i64 = 256;
 /// Clip space is cut at this many picture widths, which keeps edge products in 64 bits.
 const GUARD: f64 = 16.0;
-/// Clipping against five planes adds at most five corners.
+/// Cutting at five planes adds at most five corners.
 const MOST_CORNERS: usize = 8;
 
 /// Which side of a triangle is drawn.
@@ -26,82 +33,135 @@ pub enum Faces {
     Front,
 }
 
-/// Draws a triangle given in clip space (reversed z, far plane at infinity) into a picture of
-/// `size` pixels, up to 16,384 a side: `pixel(index, depth)` is called once for each covered pixel,
-/// row by row.
-///
-/// Corners that are not finite and triangles without area on screen cover nothing.
-pub fn triangle(clip: [DVec4; 3], size: [u32; 2], faces: Faces, mut pixel: impl FnMut(usize, f32)) {
-    if !clip.iter().all(|corner| corner.is_finite()) {
-        return;
-    }
-    let inside = |c: &DVec4| c.w >= c.z && c.w > 0.0 && c.x.abs().max(c.y.abs()) <= GUARD * c.w;
-    if clip.iter().all(inside) {
-        flat(clip.map(|corner| on_screen(corner, size)), size, faces, &mut pixel);
-        return;
-    }
-    let mut corners = [DVec4::ZERO; MOST_CORNERS];
-    let count = clipped(clip, &mut corners);
-    for at in 2..count {
-        let fan = [corners[0], corners[at - 1], corners[at]];
-        flat(fan.map(|corner| on_screen(corner, size)), size, faces, &mut pixel);
+/// A triangle cut at planes: up to eight corners in order, none if nothing is left.
+#[derive(Clone, Copy, Debug)]
+pub struct Polygon<V> {
+    corners: [V; MOST_CORNERS],
+    count: usize,
+}
+
+impl<V: Copy> Polygon<V> {
+    /// The triangles of a fan that together are this polygon.
+    pub fn fan(&self) -> impl Iterator<Item = [V; 3]> + '_ {
+        let corners = &self.corners[..self.count];
+        (2..corners.len()).map(|at| [corners[0], corners[at - 1], corners[at]])
     }
 }
 
-/// A corner in 1/256 pixels, y down, with its depth.
-#[derive(Clone, Copy)]
-struct Corner {
-    x: i64,
-    y: i64,
-    depth: f64,
-}
-
-fn on_screen(clip: DVec4, [width, height]: [u32; 2]) -> Corner {
-    let steps = STEPS as f64;
-    let x = (clip.x / clip.w * 0.5 + 0.5) * f64::from(width) * steps;
-    let y = (0.5 - clip.y / clip.w * 0.5) * f64::from(height) * steps;
-    Corner { x: x.round() as i64, y: y.round() as i64, depth: clip.z / clip.w }
-}
-
-/// Cuts a triangle at the near plane and the guard planes; the number of corners left.
-fn clipped(clip: [DVec4; 3], out: &mut [DVec4; MOST_CORNERS]) -> usize {
-    let planes: [fn(DVec4) -> f64; 5] = [
-        |c| c.w - c.z,
-        |c| GUARD * c.w + c.x,
-        |c| GUARD * c.w - c.x,
-        |c| GUARD * c.w + c.y,
-        |c| GUARD * c.w - c.y,
-    ];
+/// Cuts a triangle at five planes. `side(plane, corner)` is not negative inside; `mix` makes the new
+/// corner between two neighbours, given these and what their sides are.
+pub fn clip<V: Copy>(
+    triangle: [V; 3],
+    side: impl Fn(usize, &V) -> f64,
+    mix: impl Fn([&V; 2], [f64; 2]) -> V,
+) -> Polygon<V> {
+    let mut corners = [triangle[0]; MOST_CORNERS];
+    corners[..3].copy_from_slice(&triangle);
     let mut count = 3;
-    out[..3].copy_from_slice(&clip);
-    for plane in planes {
-        let before = *out;
+    for plane in 0..MOST_CORNERS - 3 {
+        let before = corners;
         let mut kept = 0;
         for at in 0..count {
-            let (a, b) = (before[at], before[(at + 1) % count]);
-            let (da, db) = (plane(a), plane(b));
+            let (a, b) = (&before[at], &before[(at + 1) % count]);
+            let (da, db) = (side(plane, a), side(plane, b));
             if da >= 0.0 {
-                out[kept] = a;
+                corners[kept] = *a;
                 kept += 1;
             }
             if (da >= 0.0) != (db >= 0.0) {
-                // From the inner corner outward, so that neighbours get the same new corner.
-                let (from, to, df, dt) = if da >= 0.0 { (a, b, da, db) } else { (b, a, db, da) };
-                out[kept] = from + (to - from) * (df / (df - dt));
+                corners[kept] = mix([a, b], [da, db]);
                 kept += 1;
             }
         }
         count = kept;
         if count < 3 {
-            return 0;
+            return Polygon { corners, count: 0 };
         }
     }
-    count
+    Polygon { corners, count }
+}
+
+/// The pixels of a triangle on screen.
+#[derive(Clone, Copy, Debug)]
+pub struct Coverage {
+    /// Edge i lies opposite corner i of the triangle, with the last two corners swapped where it
+    /// runs counter-clockwise.
+    edges: [Edge; 3],
+    left: i64,
+    right: i64,
+    top: i64,
+    bottom: i64,
+    area: i64,
+    is_front: bool,
+}
+
+impl Coverage {
+    /// The pixels of a triangle, given in 1/[`STEPS`] pixels, y down, at most 2^28 in size, in a
+    /// picture of `width` and the given rows; `None` if it covers none.
+    pub fn new([a, b, c]: [[i64; 2]; 3], width: u32, rows: Range<u32>) -> Option<Self> {
+        let area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+        if area == 0 {
+            return None;
+        }
+        // With y down, a triangle that is counter-clockwise as seen has a negative area.
+        let is_front = area < 0;
+        let (b, c) = if is_front { (c, b) } else { (b, c) };
+        let half = STEPS / 2;
+        let range = |axis: usize, low: u32, high: u32| {
+            let (least, most) =
+                (a[axis].min(b[axis]).min(c[axis]), a[axis].max(b[axis]).max(c[axis]));
+            let first = (least - half + STEPS - 1).div_euclid(STEPS).max(i64::from(low));
+            (first, (most - half).div_euclid(STEPS).min(i64::from(high) - 1))
+        };
+        let (left, right) = range(0, 0, width);
+        let (top, bottom) = range(1, rows.start, rows.end);
+        if left > right || top > bottom {
+            return None;
+        }
+        let edges = [(b, c), (c, a), (a, b)].map(|(from, to)| Edge::new(from, to, left, top));
+        Some(Coverage { edges, left, right, top, bottom, area: area.abs(), is_front })
+    }
+
+    /// Whether the triangle runs counter-clockwise on screen.
+    pub fn is_front(&self) -> bool {
+        self.is_front
+    }
+
+    /// Covered columns, row by row from the top.
+    pub fn spans(&self) -> impl Iterator<Item = (u32, Range<u32>)> + '_ {
+        (self.top..=self.bottom).filter_map(|row| {
+            let (mut from, mut to) = (0, self.right - self.left);
+            for edge in &self.edges {
+                let value = edge.start + edge.per_row * (row - self.top);
+                match edge.per_column.signum() {
+                    1 => {
+                        from = from.max((-value + edge.per_column - 1).div_euclid(edge.per_column));
+                    }
+                    -1 => to = to.min(value.div_euclid(-edge.per_column)),
+                    _ if value < 0 => to = -1,
+                    _ => {}
+                }
+            }
+            let columns = (self.left + from) as u32..(self.left + to + 1) as u32;
+            (from <= to).then_some((row as u32, columns))
+        })
+    }
+
+    /// What each corner has of the triangle's area, at a pixel's middle, in units of the area's
+    /// share; the corners in the order of the triangle with the last two swapped if it is a front.
+    fn shares(&self, column: i64, row: i64) -> [i64; 3] {
+        self.edges.map(|edge| {
+            edge.start
+                + edge.taken
+                + edge.per_row * (row - self.top)
+                + edge.per_column * (column - self.left)
+        })
+    }
 }
 
 /// An edge: how its value changes by pixel, and its value at the first pixel's centre, moved so
 /// that covered means not negative.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 struct Edge {
     per_column: i64,
     per_row: i64,
@@ -112,10 +172,10 @@ struct Edge {
 
 impl Edge {
     /// The edge from `a` to `b` with the inside on its left in y-down coordinates turned positive.
-    fn new(a: Corner, b: Corner, column: i64, row: i64) -> Self {
-        let (dx, dy) = (b.x - a.x, b.y - a.y);
+    fn new(a: [i64; 2], b: [i64; 2], column: i64, row: i64) -> Self {
+        let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
         let half = STEPS / 2;
-        let (px, py) = (column * STEPS + half - a.x, row * STEPS + half - a.y);
+        let (px, py) = (column * STEPS + half - a[0], row * STEPS + half - a[1]);
         let top_left = dy < 0 || (dy == 0 && dx > 0);
         let taken = i64::from(!top_left);
         Edge {
@@ -127,52 +187,69 @@ impl Edge {
     }
 }
 
+/// Draws a triangle given in clip space (reversed z, far plane at infinity) into a picture of
+/// `size` pixels, up to 16,384 a side: `pixel(index, depth)` is called once for each covered pixel,
+/// row by row. Depth is reversed: near / distance, linear on screen.
+///
+/// Corners that are not finite and triangles without area on screen cover nothing.
+pub fn triangle(clip: [DVec4; 3], size: [u32; 2], faces: Faces, mut pixel: impl FnMut(usize, f32)) {
+    if !clip.iter().all(|corner| corner.is_finite()) {
+        return;
+    }
+    let inside = |c: &DVec4| c.w >= c.z && c.w > 0.0 && c.x.abs().max(c.y.abs()) <= GUARD * c.w;
+    if clip.iter().all(inside) {
+        flat(clip, size, faces, &mut pixel);
+        return;
+    }
+    let side = |plane: usize, c: &DVec4| match plane {
+        0 => c.w - c.z,
+        1 => GUARD * c.w + c.x,
+        2 => GUARD * c.w - c.x,
+        3 => GUARD * c.w + c.y,
+        _ => GUARD * c.w - c.y,
+    };
+    let mix = |[a, b]: [&DVec4; 2], [da, db]: [f64; 2]| {
+        // From the inner corner outward, so that neighbours get the same new corner.
+        let (from, to, df, dt) = if da >= 0.0 { (*a, *b, da, db) } else { (*b, *a, db, da) };
+        from + (to - from) * (df / (df - dt))
+    };
+    for part in self::clip(clip, side, mix).fan() {
+        flat(part, size, faces, &mut pixel);
+    }
+}
+
+/// Fills a triangle that lies before the near plane.
 fn flat(
-    corners: [Corner; 3],
+    clip: [DVec4; 3],
     [width, height]: [u32; 2],
     faces: Faces,
     pixel: &mut impl FnMut(usize, f32),
 ) {
-    let [a, mut b, mut c] = corners;
-    let mut area = (b.x - a.x) * (c.y - a.y) - (b.y - a.y) * (c.x - a.x);
-    // With y down, a triangle that is counter-clockwise as seen has a negative area.
-    if area == 0 || (faces == Faces::Front && area > 0) {
+    let snapped = clip.map(|corner| {
+        let steps = STEPS as f64;
+        let x = (corner.x / corner.w * 0.5 + 0.5) * f64::from(width) * steps;
+        let y = (0.5 - corner.y / corner.w * 0.5) * f64::from(height) * steps;
+        [x.round() as i64, y.round() as i64]
+    });
+    let Some(coverage) = Coverage::new(snapped, width, 0..height) else { return };
+    if faces == Faces::Front && !coverage.is_front() {
         return;
     }
-    if area < 0 {
-        std::mem::swap(&mut b, &mut c);
-        area = -area;
-    }
-    let half = STEPS / 2;
-    let first = |least: i64| (least - half + STEPS - 1).div_euclid(STEPS).max(0);
-    let last = |most: i64, size: u32| (most - half).div_euclid(STEPS).min(i64::from(size) - 1);
-    let (left, right) = (first(a.x.min(b.x).min(c.x)), last(a.x.max(b.x).max(c.x), width));
-    let (top, bottom) = (first(a.y.min(b.y).min(c.y)), last(a.y.max(b.y).max(c.y), height));
-    if left > right || top > bottom {
-        return;
-    }
-    // Edge i lies opposite corner i, so its value is the corner's share of the area.
-    let edges = [(b, c), (c, a), (a, b)].map(|(from, to)| Edge::new(from, to, left, top));
-    let per_area = 1.0 / area as f64;
-    let depths = [a.depth, b.depth, c.depth];
-    for row in top..=bottom {
-        let values = edges.map(|edge| edge.start + edge.per_row * (row - top));
-        let (mut from, mut to) = (0, right - left);
-        for (edge, value) in edges.iter().zip(values) {
-            match edge.per_column.signum() {
-                1 => from = from.max((-value + edge.per_column - 1).div_euclid(edge.per_column)),
-                -1 => to = to.min(value.div_euclid(-edge.per_column)),
-                _ if value < 0 => to = -1,
-                _ => {}
-            }
-        }
-        let line = row as usize * width as usize + left as usize;
-        for column in from..=to {
+    let [a, b, c] = clip.map(|corner| corner.z / corner.w);
+    let depths = if coverage.is_front() { [a, c, b] } else { [a, b, c] };
+    let per_area = 1.0 / coverage.area as f64;
+    for (row, columns) in coverage.spans() {
+        let line = row as usize * width as usize;
+        let mut shares = coverage.shares(i64::from(columns.start), i64::from(row));
+        for column in columns {
             let mut depth = 0.0;
-            for ((edge, value), corner) in edges.iter().zip(values).zip(depths) {
-                depth += (value + edge.taken + edge.per_column * column) as f64 * corner;
+            for (share, corner) in shares.iter().zip(depths) {
+                depth += *share as f64 * corner;
             }
             pixel(line + column as usize, (depth * per_area) as f32);
+            for (share, edge) in shares.iter_mut().zip(&coverage.edges) {
+                *share += edge.per_column;
+            }
         }
     }
 }

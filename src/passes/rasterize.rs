@@ -1,10 +1,11 @@
-//! Triangles into pixels, in memory: which pixels one covers, at which depth, and where within the
-//! triangle they lie. Colours, object ids or anything else are made of that by the caller.
+//! Triangles into pixels with the precision of devices: f32 corners, the depth of each pixel, and
+//! where within the triangle it lies. Colours or anything else are made of that by the caller.
 //!
-//! The rules are those of GPUs: corners snap to 1/256 of a pixel, a pixel is covered if its middle
-//! lies inside, or on a left or top edge; so triangles that share an edge cover each pixel once.
-//! Depth is reversed, `near / distance`, and is linear on screen; what lies before the near plane
-//! is cut off. Both sides of a triangle are seen.
+//! Which pixels are covered is found in `geometry::raster`. Depth is reversed, `near / distance`,
+//! and is linear on screen; what lies before the near plane is cut off. Both sides of a triangle
+//! are seen.
+
+use crate::geometry::raster::{Coverage, STEPS, clip};
 
 /// A corner in clip space: `x` and `y` in -w..w where it is seen, depth `near / w`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,6 +29,12 @@ pub struct RasterTarget {
     pub rows: std::ops::Range<u32>,
     /// Distance of the near plane.
     pub near: f32,
+}
+
+impl RasterTarget {
+    fn wanted_rows(&self) -> std::ops::Range<u32> {
+        self.rows.start..self.rows.end.min(self.height_px)
+    }
 }
 
 /// A covered pixel.
@@ -74,7 +81,6 @@ impl ScreenTriangle {
     }
 }
 
-const SUBPIXELS: f32 = 256.0;
 /// Pixels beyond the picture that need no cutting: within them all products fit 64 bits.
 const GUARD_PX: f32 = 1_048_576.0;
 
@@ -107,12 +113,21 @@ pub fn rasterize(
         [0.0, 1.0, gy, 0.0],
         [0.0, -1.0, gy, 0.0],
     ];
-    let mut polygon = whole.to_vec();
-    for plane in planes {
-        polygon = cut(&polygon, plane);
-    }
-    for pair in polygon.get(1..).unwrap_or_default().windows(2) {
-        fill(&[polygon[0], pair[0], pair[1]], target, &mut emit);
+    let side = |plane: usize, corner: &Corner| {
+        let (ClipVertex { x, y, w }, plane) = (corner.clip, planes[plane]);
+        plane[0] * f64::from(x) + plane[1] * f64::from(y) + plane[2] * f64::from(w) + plane[3]
+    };
+    let between = |[corner, next]: [&Corner; 2], [here, there]: [f64; 2]| {
+        let t = here / (here - there);
+        let mix = |a: f32, b: f32| (f64::from(a) * (1.0 - t) + f64::from(b) * t) as f32;
+        let (a, b) = (corner.clip, next.clip);
+        Corner {
+            clip: ClipVertex { x: mix(a.x, b.x), y: mix(a.y, b.y), w: mix(a.w, b.w) },
+            shares: std::array::from_fn(|i| corner.shares[i] * (1.0 - t) + next.shares[i] * t),
+        }
+    };
+    for part in clip(whole, side, between).fan() {
+        fill(&part, target, &mut emit);
     }
 }
 
@@ -120,31 +135,6 @@ pub fn rasterize(
 struct Corner {
     clip: ClipVertex,
     shares: [f64; 3],
-}
-
-fn cut(polygon: &[Corner], plane: [f64; 4]) -> Vec<Corner> {
-    let side = |corner: &Corner| {
-        let ClipVertex { x, y, w } = corner.clip;
-        plane[0] * f64::from(x) + plane[1] * f64::from(y) + plane[2] * f64::from(w) + plane[3]
-    };
-    let mut kept = Vec::with_capacity(polygon.len() + 1);
-    for (at, corner) in polygon.iter().enumerate() {
-        let next = &polygon[(at + 1) % polygon.len()];
-        let (here, there) = (side(corner), side(next));
-        if here >= 0.0 {
-            kept.push(*corner);
-        }
-        if (here >= 0.0) != (there >= 0.0) {
-            let t = here / (here - there);
-            let mix = |a: f32, b: f32| (f64::from(a) * (1.0 - t) + f64::from(b) * t) as f32;
-            let (a, b) = (corner.clip, next.clip);
-            kept.push(Corner {
-                clip: ClipVertex { x: mix(a.x, b.x), y: mix(a.y, b.y), w: mix(a.w, b.w) },
-                shares: std::array::from_fn(|i| corner.shares[i] * (1.0 - t) + next.shares[i] * t),
-            });
-        }
-    }
-    kept
 }
 
 fn fill(
@@ -160,15 +150,11 @@ fn fill(
         let x = corner.clip.x * inverse * half_width + half_width;
         let y = half_height - corner.clip.y * inverse * half_height;
         pixels[i] = [x, y];
-        snapped[i] = [x, y].map(|px| (px * SUBPIXELS).round_ties_even() as i64);
+        snapped[i] = [x, y].map(|px| (px * STEPS as f32).round_ties_even() as i64);
     }
-    let [a, b, c] = snapped;
-    let area = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]);
-    if area == 0 {
+    let Some(coverage) = Coverage::new(snapped, target.width_px, target.wanted_rows()) else {
         return;
-    }
-    // Rows go down, so counter-clockwise triangles have a negative area.
-    let is_front = area < 0;
+    };
     let float = |i: usize| {
         [f64::from(pixels[i][0]), f64::from(pixels[i][1]), f64::from(corners[i].clip.w).recip()]
     };
@@ -182,57 +168,13 @@ fn fill(
         shares: [corners[0].shares, corners[1].shares, corners[2].shares],
         inverse_area: float_area.recip(),
     };
-    // Around the triangle so that its inside is on the right of every edge.
-    let around = if is_front { [a, c, b] } else { [a, b, c] };
-    let edges: [Edge; 3] = std::array::from_fn(|i| Edge::new(around[i], around[(i + 1) % 3]));
-    let limit = |axis: usize, size: u32| {
-        let values = snapped.map(|corner| corner[axis]);
-        let (min, max) = (values.iter().min().copied(), values.iter().max().copied());
-        let first = (min.unwrap_or(0) - 128).div_euclid(256).max(0);
-        let last = (max.unwrap_or(0) - 128).div_euclid(256).min(i64::from(size) - 1);
-        first..last + 1
-    };
-    let columns = limit(0, target.width_px);
-    let rows = limit(1, target.height_px);
-    let rows =
-        rows.start.max(i64::from(target.rows.start))..rows.end.min(i64::from(target.rows.end));
     let near = f64::from(target.near);
-    for y in rows {
-        let mut values = edges.map(|edge| edge.at(columns.start, y));
-        for x in columns.clone() {
-            if values.iter().all(|&value| value >= 0) {
-                let (_, inverse_w) = screen.at(x as i32, y as i32);
-                let depth = (near * inverse_w) as f32;
-                emit(Fragment { x: x as u32, y: y as u32, depth }, &screen, is_front);
-            }
-            for (value, edge) in values.iter_mut().zip(&edges) {
-                *value += edge.step_x;
-            }
+    for (y, columns) in coverage.spans() {
+        for x in columns {
+            let (_, inverse_w) = screen.at(x as i32, y as i32);
+            let depth = (near * inverse_w) as f32;
+            emit(Fragment { x, y, depth }, &screen, coverage.is_front());
         }
-    }
-}
-
-/// An edge as a function of the place: not negative where a pixel counts as inside.
-#[derive(Clone, Copy)]
-struct Edge {
-    origin: [i64; 2],
-    along: [i64; 2],
-    step_x: i64,
-    /// -1 on edges whose pixels belong to the neighbour.
-    bias: i64,
-}
-
-impl Edge {
-    fn new(from: [i64; 2], to: [i64; 2]) -> Self {
-        let along = [to[0] - from[0], to[1] - from[1]];
-        // Clockwise on screen: top edges go right, left edges go up.
-        let owns = along[1] < 0 || (along[1] == 0 && along[0] > 0);
-        Edge { origin: from, along, step_x: -along[1] * 256, bias: if owns { 0 } else { -1 } }
-    }
-
-    fn at(&self, x: i64, y: i64) -> i64 {
-        let (x, y) = (x * 256 + 128 - self.origin[0], y * 256 + 128 - self.origin[1]);
-        self.along[0] * y - self.along[1] * x + self.bias
     }
 }
 

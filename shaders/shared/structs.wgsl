@@ -85,7 +85,14 @@ struct GpuMaterial {
 
 struct GpuBox {
     low: vec3<f32>,
-    padding_0: u32,
+    item: u32,
     high: vec3<f32>,
-    padding_1: u32,
+    untested: u32,
+}
+
+struct GpuPyramid {
+    size_px: vec2<u32>,
+    level_count: u32,
+    padding_0: u32,
+    offsets: array<vec4<u32>, 4>,
 }

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use clap::{Args, ValueEnum};
 
-use crate::frame::FrameSettings;
+use crate::frame::{CullingAnswers, FrameSettings};
 use crate::passes::{EyeDome, FinishSettings, MAX_FINISH_RADIUS_PX};
 use crate::select::{SplatPolicy, SplatShape, SplatSize};
 use crate::visibility::Algorithm;
@@ -52,6 +52,10 @@ pub(super) struct PictureOptions {
     /// view frustum, or not at all
     #[arg(long, value_enum, default_value = "auto")]
     culling: CullingChoice,
+    /// What answers whether a box shows: occlusion queries of the device, or a depth pyramid tested
+    /// by compute
+    #[arg(long, value_enum, default_value = "queries")]
+    culling_answers: AnswerChoice,
     /// Draw boxes over the picture: what was drawn green, drawn without being asked about yellow,
     /// hidden red, outside of the view blue. `above` shows it from a second camera above
     #[arg(long, value_enum, value_name = "WHERE", num_args = 0..=1, default_missing_value = "boxes")]
@@ -65,6 +69,14 @@ pub(super) enum CullingShow {
     Boxes,
     /// From a second camera above, while what is drawn stays as the first one chose it
     Above,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum AnswerChoice {
+    /// Occlusion queries
+    Queries,
+    /// A depth pyramid
+    Pyramid,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -84,6 +96,9 @@ enum CullingChoice {
     /// Coherent hierarchical culling with batches, multiqueries, jittered tests and tight bounds
     #[value(name = "chc++")]
     ChcPlus,
+    /// What was visible in the last frame first, then what a test on the device finds: nothing is
+    /// waited for
+    TwoPass,
 }
 
 impl CullingChoice {
@@ -137,6 +152,10 @@ impl PictureOptions {
     /// Writes them into the settings of a frame.
     pub(super) fn apply(&self, settings: &mut FrameSettings) {
         settings.culling = self.culling.algorithm();
+        settings.answers = match self.culling_answers {
+            AnswerChoice::Queries => CullingAnswers::Queries,
+            AnswerChoice::Pyramid => CullingAnswers::Pyramid,
+        };
         let splat = &mut settings.cut.splat;
         splat.size = match self.size_mode {
             SizeChoice::Adaptive => SplatSize::Adaptive,

@@ -4,11 +4,11 @@
 use std::sync::Arc;
 
 #[cfg(feature = "gpu")]
-use crate::frame::FrameSettings;
-#[cfg(feature = "gpu")]
 use crate::frame::models::ModelCulling;
 #[cfg(feature = "gpu")]
-use crate::geometry::View;
+use crate::frame::{CullingAnswers, FrameSettings};
+#[cfg(feature = "gpu")]
+use crate::geometry::{Aabb, View};
 #[cfg(feature = "gpu")]
 use crate::gpu::{Gpu, GpuError, PassTimer, WordArena};
 #[cfg(feature = "gpu")]
@@ -18,9 +18,11 @@ use crate::mesh::Model;
 #[cfg(feature = "gpu")]
 use crate::passes::{
     CulledMeshes, DrawCounts, DrawOrder, DrawTable, Finish, MeshCounts, MeshOutput, Meshes,
-    OcclusionQueries, PointDrawing, PointsCompute, PointsRaster, Targets,
+    OcclusionQueries, PointDrawing, PointsCompute, PointsRaster, Targets, TwoPass, TwoPassDrawing,
 };
 use crate::passes::{MeshesCpu, Picture, PointsCpu};
+#[cfg(feature = "gpu")]
+use crate::visibility::Algorithm;
 
 /// Where points are drawn.
 pub(super) enum Device {
@@ -46,6 +48,8 @@ pub(super) struct OnGpu {
     pub(super) meshes: Option<Box<Meshes>>,
     /// Only once occlusion culling was asked for.
     pub(super) occlusion: Option<Box<OcclusionQueries>>,
+    /// Only while culling without read-back is asked for.
+    pub(super) two_pass: Option<Box<TwoPass>>,
     /// Whether the last frame wrote depth.
     pub(super) has_depth: bool,
 }
@@ -62,6 +66,8 @@ pub(super) enum GpuPass {
 pub(super) struct ModelDrawing<'a> {
     pub(super) model: &'a Model,
     pub(super) visible: &'a [ObjectId],
+    /// The boxes of all objects; none while what is drawn stays as another camera chose it.
+    pub(super) bounds: Option<&'a [Aabb]>,
     pub(super) culling: Option<&'a mut ModelCulling>,
     pub(super) view: &'a View,
 }
@@ -89,11 +95,22 @@ impl OnGpu {
             if self.meshes.is_none() {
                 self.meshes = Some(Box::new(Meshes::new(&gpu, models.model)?));
             }
-            if models.culling.is_some() && self.occlusion.is_none() {
-                self.occlusion = Some(Box::new(OcclusionQueries::new(&gpu)?));
+            let by_pyramid = settings.answers == CullingAnswers::Pyramid;
+            let is_other = |queries: &OcclusionQueries| queries.is_by_pyramid() != by_pyramid;
+            if models.culling.is_some() && self.occlusion.as_deref().is_none_or(is_other) {
+                self.occlusion = Some(Box::new(match by_pyramid {
+                    true => OcclusionQueries::by_pyramid(&gpu)?,
+                    false => OcclusionQueries::new(&gpu)?,
+                }));
+            }
+            if settings.culling != Algorithm::TwoPass || !TwoPass::is_offered_by(&gpu) {
+                self.two_pass = None;
+            } else if self.two_pass.is_none() {
+                self.two_pass = Some(Box::new(TwoPass::new(&gpu)?));
             }
         }
         let (meshes, occlusion) = (&mut self.meshes, &mut self.occlusion);
+        let two_pass = &mut self.two_pass;
         let (pass, timer, finish) = (&mut self.pass, &mut self.timer, &mut self.finish);
         let wants_depth = settings.depth || !settings.finish.is_nothing() || models.is_some();
         self.has_depth = wants_depth || matches!(pass, GpuPass::Raster(_));
@@ -109,11 +126,23 @@ impl OnGpu {
             let mut mesh_counts = MeshCounts::default();
             let mut mesh_bytes = 0;
             let mut culled = None;
+            let mut culling_dispatches = 0;
             if let (Some(models), Some(meshes)) = (models, meshes) {
                 meshes.begin(&gpu, models.view, frame)?;
                 match (models.culling, occlusion) {
                     (Some(culling), Some(queries)) => {
                         culled = Some((culling, queries, meshes, models.view));
+                    }
+                    _ if let (Some(two_pass), Some(bounds)) =
+                        (two_pass.as_mut(), models.bounds) =>
+                    {
+                        let (visible, view) = (models.visible, models.view);
+                        let targets = finish.finished(targets);
+                        let drawing = TwoPassDrawing { bounds, visible, view, frame, targets };
+                        let counts = two_pass.record(&gpu, &mut encoder, meshes, &drawing)?;
+                        mesh_counts = two_pass.counts().drawn();
+                        (mesh_counts.draw_calls, culling_dispatches) = counts;
+                        mesh_bytes = meshes.take_uploaded_bytes() + two_pass.take_uploaded_bytes();
                     }
                     _ => {
                         let list = meshes.list(&gpu, models.visible, DrawOrder::Grouped)?;
@@ -127,6 +156,9 @@ impl OnGpu {
             timer.end_frame(&mut encoder);
             gpu.queue().submit([encoder.finish()]);
             timer.after_submit();
+            if let Some(two_pass) = two_pass {
+                two_pass.after_submit();
+            }
             if let Some((culling, queries, meshes, view)) = culled {
                 // Points are drawn by now: they hide objects too.
                 let over = finish.finished(targets);
@@ -139,7 +171,7 @@ impl OnGpu {
                 mesh_bytes = meshes.take_uploaded_bytes();
             }
             let counts = DrawCounts {
-                dispatches: counts.dispatches + finishing.dispatches,
+                dispatches: counts.dispatches + finishing.dispatches + culling_dispatches,
                 draw_calls: counts.draw_calls + finishing.draw_calls + mesh_counts.draw_calls,
                 uploaded_bytes: counts.uploaded_bytes + finishing.uploaded_bytes + mesh_bytes,
             };

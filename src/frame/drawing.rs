@@ -15,6 +15,8 @@ use crate::ids::NodeId;
 use crate::passes::{CloudDraw, MeshesCpu, NodePlace, NodeWords, Picture, Tile, finish};
 use crate::select::{Cut, SplatSettings, SplatSize};
 use crate::stream::SceneNode;
+#[cfg(feature = "gpu")]
+use crate::visibility::Algorithm;
 
 /// Most pixels of one part of a picture on the CPU.
 const CPU_TILE_PIXELS: u64 = 16 << 20;
@@ -148,6 +150,7 @@ impl Renderer {
                 let models = self.models.as_mut().map(|models| ModelDrawing {
                     model: &models.model,
                     visible: &models.visible,
+                    bounds: (!is_frozen).then_some(&models.bounds[..]),
                     culling: models.culling.as_deref_mut().filter(|_| !is_frozen),
                     view,
                 });
@@ -158,6 +161,11 @@ impl Renderer {
                     let counters = self.stats.culling.get_or_insert_default();
                     counters.add(culling.culler.counters());
                     self.stats.culling_costs = culling.meter.stats();
+                }
+                if let Some(two_pass) = &on_gpu.two_pass
+                    && settings.culling == Algorithm::TwoPass
+                {
+                    self.stats.culling.get_or_insert_default().add(&two_pass.counts().counters());
                 }
                 self.stats.objects_drawn += meshes.objects;
                 self.stats.triangles_drawn += meshes.triangles;

@@ -43,6 +43,8 @@ pub use culling_view::{
 pub use pacing::PacingStats;
 pub use reference::reference_picture;
 pub use renderer::Renderer;
-pub use settings::{FrameError, FrameSettings, InFrameCheckpoint, Loading, RasterPath};
+pub use settings::{
+    CullingAnswers, FrameError, FrameSettings, InFrameCheckpoint, Loading, RasterPath,
+};
 pub use source::{FIRST_PICTURE_BYTES, NodeSource};
 pub use stats::{FrameStats, PassTime};

@@ -24,7 +24,7 @@ use crate::visibility::Culler;
 /// The models of a scene.
 pub(super) struct Models {
     pub(super) model: Arc<Model>,
-    bounds: Vec<Aabb>,
+    pub(super) bounds: Vec<Aabb>,
     all: Aabb,
     /// Objects of this frame that are in sight, hidden or not.
     pub(super) visible: Vec<ObjectId>,
@@ -89,7 +89,7 @@ impl Models {
 impl Models {
     /// Gets the tree and the memory of occlusion culling ready, or drops them.
     fn prepare_culling(&mut self, algorithm: &Algorithm, more_follow: bool) {
-        if matches!(algorithm, Algorithm::None | Algorithm::Frustum) {
+        if matches!(algorithm, Algorithm::None | Algorithm::Frustum | Algorithm::TwoPass) {
             self.culling = None;
             return;
         }
@@ -189,7 +189,10 @@ impl Renderer {
         match &mut self.device {
             Device::Cpu { meshes, .. } => *meshes = None,
             #[cfg(feature = "gpu")]
-            Device::Gpu(on_gpu) => on_gpu.meshes = None,
+            Device::Gpu(on_gpu) => {
+                on_gpu.meshes = None;
+                on_gpu.two_pass = None;
+            }
         }
     }
 }

@@ -115,6 +115,7 @@ impl Renderer {
             finish,
             meshes: None,
             occlusion: None,
+            two_pass: None,
             has_depth: false,
         }));
         Ok(Renderer::new(device, storage))

@@ -118,6 +118,18 @@ pub struct FrameSettings {
     /// How hidden objects of models are found. Default: by the view frustum alone. The CPU renderer
     /// knows only that, and everything.
     pub culling: Algorithm,
+    /// What answers the questions of culling. Default: occlusion queries.
+    pub answers: CullingAnswers,
+}
+
+/// What answers whether a box would show.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum CullingAnswers {
+    /// Occlusion queries of the device.
+    #[default]
+    Queries,
+    /// A depth pyramid, tested by compute: somewhat fewer boxes count as hidden.
+    Pyramid,
 }
 
 /// When a frame with a target time may decide half-way what is still drawn.
@@ -146,6 +158,7 @@ impl Default for FrameSettings {
             checkpoint: InFrameCheckpoint::Auto,
             more_follow: true,
             culling: Algorithm::Frustum,
+            answers: CullingAnswers::Queries,
         }
     }
 }

@@ -27,7 +27,9 @@ pub struct FrameStats {
     pub objects_drawn: u32,
     /// Objects of models left out because they are out of sight.
     pub objects_culled: u32,
-    /// What occlusion culling did; absent where the view frustum alone decided.
+    /// What occlusion culling did; absent where the view frustum alone decided. That of `two-pass`
+    /// stays on the device: it and the objects and triangles drawn are those of the latest frame
+    /// whose counts came back.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub culling: Option<CullCounters>,
     /// What drawing and asking cost, as far as culling has measured it.

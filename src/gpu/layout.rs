@@ -22,6 +22,13 @@ pub const SHARE_BLOCK_BITS: u32 = 8;
 /// Where only a share of a node's points is drawn, as many of each so many successive points.
 pub const SHARE_BLOCK: u32 = 1 << SHARE_BLOCK_BITS;
 
+/// Texels along each side up to which a box is tested at a finer level of a depth pyramid.
+pub const MOST_TEXELS: u32 = 8;
+
+/// Words before those of the objects in the state of culling without read-back: objects drawn first,
+/// objects drawn second, triangles (two words).
+pub const STATE_COUNTS: u32 = 4;
+
 /// Words per position of a node whose local coordinates have `local_bits` bits.
 pub const fn position_words(local_bits: u32) -> u32 {
     if local_bits <= NARROW_BITS { 2 } else { 3 }
@@ -261,12 +268,61 @@ gpu_struct! {
     GpuBox, 32 {
         /// Corner with the smallest coordinates.
         low: [f32; 3],
-        /// Unused.
-        padding_0: u32,
+        /// What it belongs to: the number of a question, or of an object.
+        item: u32,
         /// Corner with the largest coordinates.
         high: [f32; 3],
+        /// 1 if it is taken as visible, because it meets the near plane or is not finite.
+        untested: u32,
+    }
+}
+
+gpu_struct! {
+    /// The levels of a depth pyramid; the picture is level 0.
+    GpuPyramid, 80 {
+        /// Width and height of the picture.
+        size_px: [u32; 2],
+        /// Levels, the picture counted; the last is one texel.
+        level_count: u32,
         /// Unused.
-        padding_1: u32,
+        padding_0: u32,
+        /// Where each level begins among the texels of those after the picture.
+        offsets: [[u32; 4]; 4],
+    }
+}
+
+impl GpuPyramid {
+    /// Levels that there can be.
+    pub const MOST_LEVELS: u32 = 16;
+
+    /// The pyramid over a picture; sides beyond 32,768 pixels end it before one texel is left.
+    pub fn over(width_px: u32, height_px: u32) -> Self {
+        let longest = width_px.max(height_px).max(1);
+        let level_count = (longest.next_power_of_two().ilog2() + 1).min(Self::MOST_LEVELS);
+        let mut pyramid =
+            GpuPyramid { size_px: [width_px, height_px], level_count, ..Zeroable::zeroed() };
+        let mut offset = 0;
+        for level in 1..level_count {
+            pyramid.offsets[level as usize / 4][level as usize % 4] = offset;
+            let [width, height] = pyramid.size_of(level);
+            offset += width * height;
+        }
+        pyramid
+    }
+
+    /// Width and height of a level.
+    pub fn size_of(&self, level: u32) -> [u32; 2] {
+        self.size_px.map(|side| side.div_ceil(1 << level))
+    }
+
+    /// First texel of a level after the picture.
+    pub fn offset_of(&self, level: u32) -> u32 {
+        self.offsets[level as usize / 4][level as usize % 4]
+    }
+
+    /// Texels of all levels after the picture.
+    pub fn texel_count(&self) -> u32 {
+        (1..self.level_count).map(|level| self.size_of(level).iter().product::<u32>()).sum()
     }
 }
 
@@ -281,6 +337,7 @@ pub const STRUCTS: &[StructLayout] = &[
     GpuMeshObject::LAYOUT,
     GpuMaterial::LAYOUT,
     GpuBox::LAYOUT,
+    GpuPyramid::LAYOUT,
 ];
 
 /// WGSL text that declares the shared constants; every shader starts with it.
@@ -291,6 +348,8 @@ pub fn prelude() -> String {
         ("ROUND", ROUND),
         ("SPHERE", SPHERE),
         ("SHARE_BLOCK_BITS", SHARE_BLOCK_BITS),
+        ("MOST_TEXELS", MOST_TEXELS),
+        ("STATE_COUNTS", STATE_COUNTS),
     ]
     .map(|(name, value)| format!("const {name}: u32 = {value}u;\n"))
     .concat()

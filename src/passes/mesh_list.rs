@@ -47,19 +47,15 @@ pub(super) struct MeshDraw {
     pub instances: Range<u32>,
 }
 
-/// The objects in the order of drawing, and their draws. `key` gives surface, shelf and shape.
+/// The draws of objects, which stand in the order of drawing. `key` gives surface, shelf and shape.
 pub(super) fn draws_of(
     objects: &[ObjectId],
     order: DrawOrder,
     key: impl Fn(ObjectId) -> (Surface, usize, u32),
     triangles_of: impl Fn(u32) -> u32,
-) -> (Vec<u32>, Vec<MeshDraw>) {
-    let mut sorted: Vec<ObjectId> = objects.to_vec();
-    if order == DrawOrder::Grouped {
-        sorted.sort_by_cached_key(|&object| (key(object), object));
-    }
+) -> Vec<MeshDraw> {
     let mut draws: Vec<MeshDraw> = Vec::new();
-    for (&object, at) in sorted.iter().zip(0u32..) {
+    for (&object, at) in objects.iter().zip(0u32..) {
         let (surface, shelf, shape) = key(object);
         match draws.last_mut() {
             Some(last)
@@ -74,7 +70,7 @@ pub(super) fn draws_of(
             }
         }
     }
-    (sorted.into_iter().map(|object| object.0).collect(), draws)
+    draws
 }
 
 #[cfg(test)]
@@ -89,14 +85,11 @@ mod tests {
     }
 
     #[test]
-    fn instances_are_drawn_together_and_any_order_gives_the_same() {
+    fn instances_that_follow_each_other_are_drawn_together() {
         let ids = |list: &[u32]| list.iter().map(|&id| ObjectId(id)).collect::<Vec<_>>();
-        let (drawn, draws) = draws_of(&ids(&[4, 3, 0, 2, 1]), DrawOrder::Grouped, key, |_| 7);
-        assert_eq!(drawn, [0, 2, 1, 3, 4]);
+        let draws = draws_of(&ids(&[0, 2, 1, 3, 4]), DrawOrder::Grouped, key, |_| 7);
         let instances: Vec<_> = draws.iter().map(|draw| draw.instances.clone()).collect();
         assert_eq!(instances, [0..2, 2..4, 4..5]);
-        assert_eq!(draws_of(&ids(&[0, 1, 2, 3, 4]), DrawOrder::Grouped, key, |_| 7).1, draws);
-        let (drawn, draws) = draws_of(&ids(&[4, 2, 0]), DrawOrder::Kept, key, |_| 7);
-        assert_eq!((drawn, draws.len()), (vec![4, 2, 0], 3));
+        assert_eq!(draws_of(&ids(&[4, 2, 0]), DrawOrder::Kept, key, |_| 7).len(), 3);
     }
 }

@@ -72,6 +72,23 @@ impl MeshList {
     pub fn draw_count(&self) -> usize {
         self.draws.len()
     }
+
+    /// A list whose objects and arguments the device fills in.
+    pub(super) fn of_buffers(
+        draws: Vec<MeshDraw>,
+        drawn: wgpu::BindGroup,
+        arguments: Arc<HeldBuffer>,
+        offset: u64,
+    ) -> Self {
+        MeshList { draws, drawn, arguments: Some((arguments, offset)) }
+    }
+}
+
+/// Objects in the order of their draws, and the draws.
+#[derive(Debug, Default)]
+pub(super) struct DrawsInView {
+    pub objects: Vec<ObjectId>,
+    pub draws: Vec<MeshDraw>,
 }
 
 /// A model on the device.
@@ -97,6 +114,8 @@ pub struct Meshes {
     seen_from: Option<View>,
     texel_bytes: u64,
     lists: Lists,
+    /// Place of each object among all in the order of drawing; empty if out of date.
+    ranks: Vec<u32>,
     draws_indirectly: bool,
     reduced_textures: u32,
     uploaded_bytes: u64,
@@ -191,6 +210,7 @@ impl Meshes {
                 seen_from: None,
                 texel_bytes: size_of_val(&tables.texels[..]) as u64,
                 lists: Lists::default(),
+                ranks: Vec::new(),
                 draws_indirectly: gpu
                     .device()
                     .features()
@@ -221,7 +241,11 @@ impl Meshes {
     pub fn place(&mut self, object: ObjectId, world_from_mesh: DAffine3) {
         let row = &mut self.objects[object.index()];
         row.place = world_from_mesh;
-        row.surface.mirrored = world_from_mesh.matrix3.determinant() < 0.0;
+        let mirrored = world_from_mesh.matrix3.determinant() < 0.0;
+        if row.surface.mirrored != mirrored {
+            row.surface.mirrored = mirrored;
+            self.ranks.clear();
+        }
         self.seen_from = None;
     }
 
@@ -265,37 +289,72 @@ impl Meshes {
         objects: &[ObjectId],
         order: DrawOrder,
     ) -> Result<MeshList, GpuError> {
-        let key = |object: ObjectId| {
-            let row = &self.objects[object.index()];
-            (row.surface, self.shapes[row.shape as usize].shelf, row.shape)
-        };
-        let (drawn, draws) =
-            draws_of(objects, order, key, |shape| self.shapes[shape as usize].index_count / 3);
-        let ids: &[u32] = if drawn.is_empty() { &[0] } else { &drawn };
-        let (buffer, offset) = self.lists.ids.write(gpu, bytemuck::cast_slice(ids))?;
+        let mut objects = objects.to_vec();
+        if order == DrawOrder::Grouped {
+            self.sort(&mut objects);
+        }
+        let draws = self.draws_of(&objects, order);
+        let ids: &[ObjectId] = if objects.is_empty() { &[ObjectId(0)] } else { &objects };
+        let ids: Vec<u32> = ids.iter().map(|id| id.0).collect();
+        let (buffer, offset) = self.lists.ids.write(gpu, bytemuck::cast_slice(&ids))?;
         let drawn = bind(gpu, &self.drawn_layout, &[part(&buffer, offset, 4 * ids.len() as u64)]);
         self.uploaded_bytes += 4 * ids.len() as u64;
         let arguments = if self.draws_indirectly && order == DrawOrder::Grouped && draws.len() > 1 {
-            let words: Vec<[u32; 5]> = draws
-                .iter()
-                .map(|draw| {
-                    let shape = &self.shapes[draw.shape as usize];
-                    let instances = draw.instances.end - draw.instances.start;
-                    [
-                        shape.index_count,
-                        instances,
-                        shape.first_index,
-                        shape.base_vertex as u32,
-                        draw.instances.start,
-                    ]
-                })
-                .collect();
+            let words: Vec<[u32; 5]> = draws.iter().map(|draw| self.arguments_of(draw)).collect();
             self.uploaded_bytes += size_of_val(&words[..]) as u64;
             Some(self.lists.arguments.write(gpu, bytemuck::cast_slice(&words))?)
         } else {
             None
         };
         Ok(MeshList { draws, drawn, arguments })
+    }
+
+    /// Objects in the order of drawing, whose draws are as few as there are shapes among them.
+    pub(super) fn draws_in_view(&mut self, objects: &[ObjectId]) -> DrawsInView {
+        let mut objects = objects.to_vec();
+        self.sort(&mut objects);
+        let draws = self.draws_of(&objects, DrawOrder::Grouped);
+        DrawsInView { objects, draws }
+    }
+
+    fn draws_of(&self, objects: &[ObjectId], order: DrawOrder) -> Vec<MeshDraw> {
+        let key = |object: ObjectId| {
+            let row = &self.objects[object.index()];
+            (row.surface, self.shapes[row.shape as usize].shelf, row.shape)
+        };
+        draws_of(objects, order, key, |shape| self.shapes[shape as usize].index_count / 3)
+    }
+
+    /// Brings objects into the order of drawing: by surface, shape and number.
+    fn sort(&mut self, objects: &mut Vec<ObjectId>) {
+        if self.ranks.len() != self.objects.len() {
+            let mut order: Vec<u32> = (0..self.objects.len() as u32).collect();
+            let key = |&object: &u32| {
+                let row = &self.objects[object as usize];
+                (row.surface, self.shapes[row.shape as usize].shelf, row.shape, object)
+            };
+            order.sort_by_cached_key(key);
+            self.ranks = vec![0; order.len()];
+            order.iter().zip(0..).for_each(|(&object, rank)| self.ranks[object as usize] = rank);
+        }
+        let mut ranked: Vec<(u32, ObjectId)> =
+            objects.iter().map(|&object| (self.ranks[object.index()], object)).collect();
+        ranked.sort_unstable();
+        objects.clear();
+        objects.extend(ranked.into_iter().map(|(_, object)| object));
+    }
+
+    /// The arguments of a draw.
+    pub(super) fn arguments_of(&self, draw: &MeshDraw) -> [u32; 5] {
+        let shape = &self.shapes[draw.shape as usize];
+        let instances = draw.instances.end - draw.instances.start;
+        let base_vertex = shape.base_vertex as u32;
+        [shape.index_count, instances, shape.first_index, base_vertex, draw.instances.start]
+    }
+
+    /// Binds a buffer of objects that are drawn.
+    pub(super) fn bind_drawn(&self, gpu: &Gpu, ids: wgpu::BindingResource) -> wgpu::BindGroup {
+        bind(gpu, &self.drawn_layout, &[ids])
     }
 
     /// Records all of a list.

@@ -91,7 +91,10 @@ impl MeshesCpu {
         let key =
             |object: ObjectId| (surface(object), 0, self.model.objects[object.index()].mesh.0);
         let triangles_of = |shape: u32| self.shapes[shape as usize].triangles.len() as u32;
-        let (ordered, draws) = draws_of(objects, DrawOrder::Grouped, key, triangles_of);
+        let mut sorted = objects.to_vec();
+        sorted.sort_by_cached_key(|&object| (key(object), object));
+        let draws = draws_of(&sorted, DrawOrder::Grouped, key, triangles_of);
+        let ordered: Vec<u32> = sorted.into_iter().map(|object| object.0).collect();
         let mut counts = MeshCounts::default();
         for draw in &draws {
             let objects = draw.instances.end - draw.instances.start;

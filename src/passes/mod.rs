@@ -9,6 +9,7 @@
 //! `frame`.
 
 mod alternatives;
+mod depth_pyramid_cpu;
 mod draw_table;
 mod finish_cpu;
 mod lines;
@@ -27,6 +28,8 @@ mod bindings;
 #[cfg(feature = "gpu")]
 mod checkpoint;
 #[cfg(feature = "gpu")]
+mod depth_pyramid;
+#[cfg(feature = "gpu")]
 mod finish;
 #[cfg(feature = "gpu")]
 mod grow;
@@ -43,9 +46,14 @@ mod points_compute;
 #[cfg(feature = "gpu")]
 mod points_raster;
 #[cfg(feature = "gpu")]
+mod pyramid_answers;
+#[cfg(feature = "gpu")]
 mod targets;
+#[cfg(feature = "gpu")]
+mod two_pass;
 
 pub use alternatives::{CheckpointPlan, DrawPart};
+pub use depth_pyramid_cpu::DepthPyramidCpu;
 pub use draw_table::{BatchKind, Batches, CloudDraw, DrawTable, DrawnNode, NodePlace};
 pub use finish_cpu::{
     EyeDome, FinishSettings, MAX_FINISH_RADIUS_PX, fill_gaps, finish, light_eye_dome,
@@ -90,6 +98,8 @@ pub struct DrawCounts {
 #[cfg(feature = "gpu")]
 pub use checkpoint::{Checkpoint, Decision};
 #[cfg(feature = "gpu")]
+pub use depth_pyramid::DepthPyramid;
+#[cfg(feature = "gpu")]
 pub use finish::Finish;
 #[cfg(feature = "gpu")]
 pub use meshes::{MeshColor, MeshList, MeshOutput, Meshes};
@@ -102,4 +112,8 @@ pub use points_compute::{EarlyOut, PointsCompute};
 #[cfg(feature = "gpu")]
 pub use points_raster::PointsRaster;
 #[cfg(feature = "gpu")]
+pub use pyramid_answers::PyramidAnswers;
+#[cfg(feature = "gpu")]
 pub use targets::Targets;
+#[cfg(feature = "gpu")]
+pub use two_pass::{TwoPass, TwoPassCounts, TwoPassDrawing};

@@ -3,7 +3,9 @@
 //!
 //! A round is one submission: all draws recorded since the last one, then all questions, so that
 //! each sees the depth of the whole round; then the answers are copied to memory that the CPU maps
-//! when they are done. Queries of all backends tell only none from some. Of [`OcclusionQueries`] one
+//! when they are done. Queries of all backends tell only none from some. In their place a depth
+//! pyramid can answer, by compute ([`OcclusionQueries::by_pyramid`]).
+//!  Of [`OcclusionQueries`] one
 //! is kept per view; [`CulledMeshes`] lends it the models and the picture for a frame.
 //!
 //! Shader: `occlusion_boxes.wgsl`. Twin: [`SoftwareDevice`](crate::visibility::SoftwareDevice).
@@ -12,6 +14,7 @@ use std::collections::VecDeque;
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 use crate::geometry::{Aabb, View};
 use crate::gpu::layout::{GpuBox, GpuFrame};
@@ -19,12 +22,14 @@ use crate::gpu::{Gpu, GpuError, GrowingBuffer, shader};
 use crate::hierarchy::Bvh;
 use crate::ids::{ObjectId, TreeNodeId};
 use crate::passes::bindings::{bind, layout, part, pipeline_layout};
-use crate::passes::{DrawOrder, MeshCounts, MeshOutput, Meshes, Targets};
-use crate::visibility::{Answer, OcclusionDevice, QueryId};
+use crate::passes::{DrawOrder, MeshCounts, MeshOutput, Meshes, PyramidAnswers, Targets};
+use crate::visibility::{Answer, OcclusionDevice, Proxies, QueryId};
 
 /// Questions of one pass; more go into further passes of the same round.
 const SET_SIZE: u32 = 4096;
 const ANSWER_BYTES: u64 = 8;
+/// How long another thread may take to tell that answers are there.
+const CALLBACK_LIMIT: Duration = Duration::from_secs(10);
 
 /// The questions of one view: those under way, and answers of the last frame and this one.
 #[derive(Debug)]
@@ -35,6 +40,8 @@ pub struct OcclusionQueries {
     frame: GrowingBuffer,
     set: wgpu::QuerySet,
     resolved: wgpu::Buffer,
+    /// Answers in place of the queries.
+    pyramid: Option<Box<PyramidAnswers>>,
     /// Memory for answers that nobody reads now.
     spare: Vec<wgpu::Buffer>,
     under_way: VecDeque<Submission>,
@@ -48,6 +55,7 @@ pub struct OcclusionQueries {
 struct Submission {
     buffer: wgpu::Buffer,
     queries: Vec<QueryId>,
+    answer_bytes: usize,
     is_done: Arc<AtomicBool>,
 }
 
@@ -81,6 +89,7 @@ impl OcclusionQueries {
                     usage: wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
                     mapped_at_creation: false,
                 }),
+                pyramid: None,
                 spare: Vec::new(),
                 under_way: VecDeque::new(),
                 answers: VecDeque::new(),
@@ -88,6 +97,17 @@ impl OcclusionQueries {
                 first_of_frame: 0,
             }
         })
+    }
+
+    /// The same with a depth pyramid that answers in place of queries.
+    pub fn by_pyramid(gpu: &Gpu) -> Result<Self, GpuError> {
+        let pyramid = Some(Box::new(PyramidAnswers::new(gpu)?));
+        Ok(OcclusionQueries { pyramid, ..OcclusionQueries::new(gpu)? })
+    }
+
+    /// Whether a depth pyramid answers.
+    pub fn is_by_pyramid(&self) -> bool {
+        self.pyramid.is_some()
     }
 
     fn begin_frame(&mut self, gpu: &Gpu) {
@@ -110,12 +130,13 @@ impl OcclusionQueries {
         while let Some(submission) = self.under_way.front()
             && submission.is_done.load(Ordering::Acquire)
         {
-            let Some(Submission { buffer, queries, .. }) = self.under_way.pop_front() else {
+            let Some(Submission { buffer, queries, answer_bytes, .. }) = self.under_way.pop_front()
+            else {
                 return;
             };
-            let bytes = ANSWER_BYTES * queries.len() as u64;
+            let bytes = (answer_bytes * queries.len()) as u64;
             if let Ok(view) = buffer.slice(..bytes).get_mapped_range() {
-                let words = view.chunks_exact(ANSWER_BYTES as usize);
+                let words = view.chunks_exact(answer_bytes);
                 for (query, word) in queries.iter().zip(words) {
                     // Questions of frames long past are of no concern.
                     if let Some(at) = query.0.checked_sub(self.first)
@@ -205,7 +226,7 @@ struct Recording {
     /// Questions, as ranges of `boxes`.
     queries: Vec<(QueryId, Range<u32>)>,
     boxes: Vec<GpuBox>,
-    eye: glam::DVec3,
+    view: Option<View>,
     counts: MeshCounts,
     rounds: u64,
     switches: u64,
@@ -246,7 +267,7 @@ impl<'a> CulledMeshes<'a> {
             return;
         }
         let work = std::mem::take(&mut self.recording);
-        let (eye, mut counts, rounds) = (work.eye, work.counts, work.rounds + 1);
+        let (view, mut counts, rounds) = (work.view, work.counts, work.rounds + 1);
         let asks = !work.queries.is_empty();
         let draws = !work.drawn.is_empty() || !work.asked.is_empty();
         // From the last round's questions back to drawing, and on to asking.
@@ -261,7 +282,7 @@ impl<'a> CulledMeshes<'a> {
             Err(error) => Some(error),
         };
         self.recording =
-            Recording { eye, counts, rounds, switches, failure, ..Recording::default() };
+            Recording { view, counts, rounds, switches, failure, ..Recording::default() };
     }
 
     fn round(&mut self, work: &Recording) -> Result<MeshCounts, GpuError> {
@@ -271,7 +292,7 @@ impl<'a> CulledMeshes<'a> {
         // A buffer of its own: submissions of a frame must not overwrite each other's boxes before
         // they run.
         let mut boxes = GrowingBuffer::new("boxes", wgpu::BufferUsages::STORAGE);
-        let none = [GpuBox { low: [0.0; 3], padding_0: 0, high: [0.0; 3], padding_1: 0 }];
+        let none = [GpuBox { low: [0.0; 3], item: 0, high: [0.0; 3], untested: 0 }];
         boxes.write(gpu, if work.boxes.is_empty() { &none } else { &work.boxes })?;
         self.queries.frame.write(gpu, &[*self.frame])?;
         let (boxes, frame) = (boxes.get(), self.queries.frame.get());
@@ -286,6 +307,21 @@ impl<'a> CulledMeshes<'a> {
         let mut parts = Vec::new();
         // Draws inside of questions take the first slots.
         let slots = work.asked.len() + work.queries.len();
+        if self.queries.pyramid.is_some() {
+            counts += self.meshes.record(
+                gpu,
+                &mut self.begin_pass(&mut encoder),
+                &list,
+                MeshOutput::COLOR,
+            )?;
+            parts = self.ask_pyramid(&mut encoder, &boxes, work)?;
+            gpu.queue().submit([encoder.finish()]);
+            let ids: Vec<QueryId> = work.queries.iter().map(|(id, _)| *id).collect();
+            for (buffer, slots) in parts {
+                self.read_back(buffer, &ids[slots], size_of::<u32>());
+            }
+            return Ok(counts);
+        }
         let mut from = 0;
         loop {
             let to = slots.min(from + SET_SIZE as usize);
@@ -332,21 +368,53 @@ impl<'a> CulledMeshes<'a> {
             .chain(work.queries.iter().map(|(id, _)| *id))
             .collect();
         for (buffer, slots) in parts {
-            self.read_back(buffer, &ids[slots]);
+            self.read_back(buffer, &ids[slots], ANSWER_BYTES as usize);
         }
         Ok(counts)
     }
 
-    fn read_back(&mut self, buffer: wgpu::Buffer, ids: &[QueryId]) {
+    /// Adds the commands by which a depth pyramid answers, and copies of the answers to be read: each
+    /// with the questions it answers.
+    fn ask_pyramid(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        boxes: &wgpu::Buffer,
+        work: &Recording,
+    ) -> Result<Vec<(wgpu::Buffer, Range<usize>)>, GpuError> {
+        let mut parts = Vec::new();
+        if work.queries.is_empty() {
+            return Ok(parts);
+        }
+        let asked = (boxes, work.boxes.len() as u32);
+        let depths = self.targets.1;
+        let Some(mut pyramid) = self.queries.pyramid.take() else { return Ok(parts) };
+        let count = work.queries.len() as u32;
+        let answered = pyramid.record(self.gpu, encoder, self.frame, depths, asked, count);
+        if let Ok(Some(answers)) = &answered {
+            let most = (u64::from(SET_SIZE) * ANSWER_BYTES / 4) as usize;
+            for from in (0..work.queries.len()).step_by(most) {
+                let to = work.queries.len().min(from + most);
+                let buffer = self.queries.memory(self.gpu);
+                let bytes = 4 * (to - from) as u64;
+                encoder.copy_buffer_to_buffer(answers, 4 * from as u64, &buffer, 0, bytes);
+                parts.push((buffer, from..to));
+            }
+        }
+        let failure = answered.err();
+        self.queries.pyramid = Some(pyramid);
+        failure.map_or(Ok(parts), Err)
+    }
+
+    fn read_back(&mut self, buffer: wgpu::Buffer, ids: &[QueryId], answer_bytes: usize) {
         let is_done = Arc::new(AtomicBool::new(false));
         let done = is_done.clone();
-        let bytes = ANSWER_BYTES * ids.len() as u64;
+        let bytes = (answer_bytes * ids.len()) as u64;
         buffer.slice(..bytes).map_async(wgpu::MapMode::Read, move |_| {
             // What could not be mapped stays unknown, which counts as visible.
             done.store(true, Ordering::Release);
         });
         let queries = ids.to_vec();
-        self.queries.under_way.push_back(Submission { buffer, queries, is_done });
+        self.queries.under_way.push_back(Submission { buffer, queries, answer_bytes, is_done });
     }
 
     fn begin_pass<'e>(&self, encoder: &'e mut wgpu::CommandEncoder) -> wgpu::RenderPass<'e> {
@@ -377,7 +445,7 @@ impl<'a> CulledMeshes<'a> {
 
 impl OcclusionDevice for CulledMeshes<'_> {
     fn begin_frame(&mut self, view: &View) {
-        self.recording.eye = view.camera.eye;
+        self.recording.view = Some(*view);
         self.queries.begin_frame(self.gpu);
     }
 
@@ -389,18 +457,26 @@ impl OcclusionDevice for CulledMeshes<'_> {
         let id = self.queries.ask();
         let recording = &mut self.recording;
         let first = recording.boxes.len() as u32;
-        let eye = recording.eye;
+        let eye = recording.view.map_or(glam::DVec3::ZERO, |view| view.camera.eye);
+        let item = recording.queries.len() as u32;
         recording.boxes.extend(boxes.iter().map(|bounds| GpuBox {
             low: (bounds.min - eye).as_vec3().to_array(),
-            padding_0: 0,
+            item,
             high: (bounds.max - eye).as_vec3().to_array(),
-            padding_1: 0,
+            untested: 0,
         }));
         recording.queries.push((id, first..recording.boxes.len() as u32));
         id
     }
 
     fn draw_and_query(&mut self, node: TreeNodeId) -> QueryId {
+        if self.queries.is_by_pyramid()
+            && let Some(view) = self.recording.view
+        {
+            // The box is in front of what it holds, which is drawn by then.
+            self.draw(node);
+            return self.query(&[Proxies::new(&view).of(self.tree, node)]);
+        }
         let id = self.queries.ask();
         let recording = &mut self.recording;
         let first = recording.asked_objects.len();
@@ -427,6 +503,12 @@ impl OcclusionDevice for CulledMeshes<'_> {
             return;
         }
         self.queries.collect();
+        // The work is done, but another thread that polls the device may be about to say so.
+        let started = Instant::now();
+        while !self.queries.under_way.is_empty() && started.elapsed() < CALLBACK_LIMIT {
+            std::thread::yield_now();
+            self.queries.collect();
+        }
     }
 
     fn end_frame(&mut self) {

@@ -57,6 +57,7 @@ fn meaning(algorithm: &Algorithm) -> &'static str {
         Algorithm::StopAndWait => "Each box on the way down is asked about and waited for",
         Algorithm::Chc(_) => "Coherent hierarchical culling",
         Algorithm::ChcPlus(_) => "The same in batches, several hidden boxes in one question",
+        Algorithm::TwoPass => "What was visible first, then what a test on the device finds",
         Algorithm::NearOptimal(..) => "Questions only where they are expected to pay",
         Algorithm::Auto(..) => "chc++ while it pays, else the view frustum alone",
     }

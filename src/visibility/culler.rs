@@ -31,6 +31,9 @@ pub enum Algorithm {
     ChcPlus(ChcPlusOptions),
     /// CHC with questions only where they are expected to pay.
     NearOptimal(ChcOptions, CullingCosts),
+    /// What was visible in the last frame first, then what a test on the device finds, which takes
+    /// place in [`passes`](crate::passes): nothing is read back. A culler takes it for the frustum.
+    TwoPass,
     /// CHC++ while it pays, the frustum alone otherwise.
     Auto(ChcPlusOptions, CullingCosts),
 }
@@ -46,12 +49,13 @@ impl Algorithm {
             Algorithm::Chc(_) => "chc",
             Algorithm::ChcPlus(_) => "chc++",
             Algorithm::NearOptimal(..) => "near-optimal",
+            Algorithm::TwoPass => "two-pass",
             Algorithm::Auto(..) => "auto",
         }
     }
 
     /// Those that a user chooses among, with the options that are usual.
-    pub fn usual() -> [Algorithm; 7] {
+    pub fn usual() -> [Algorithm; 8] {
         let plus = ChcPlusOptions::default();
         [
             Algorithm::Auto(plus, CullingCosts::default()),
@@ -61,6 +65,7 @@ impl Algorithm {
             Algorithm::StopAndWait,
             Algorithm::Chc(ChcOptions::default()),
             Algorithm::ChcPlus(plus),
+            Algorithm::TwoPass,
         ]
     }
 
@@ -215,7 +220,7 @@ impl Culler {
         match self.algorithm {
             _ if in_vain => reference::frustum(&mut walk),
             Algorithm::None => reference::everything(&mut walk),
-            Algorithm::Frustum => reference::frustum(&mut walk),
+            Algorithm::Frustum | Algorithm::TwoPass => reference::frustum(&mut walk),
             Algorithm::Naive => reference::naive(&mut walk, 0),
             Algorithm::StopAndWait => reference::stop_and_wait(&mut walk, 0),
             Algorithm::Chc(options) => {

@@ -6,6 +6,8 @@
 //! times are of the exact software device, which draws on one core: ratios within a run only.
 
 mod methods;
+#[cfg(feature = "gpu")]
+mod on_device;
 mod race;
 mod studies;
 
@@ -30,6 +32,9 @@ pub(super) enum Study {
     Threshold,
     /// The size of batches, and rounds allowed.
     Batches,
+    /// Times, and the ways to deal with late answers, on the adapter that is there.
+    #[cfg(feature = "gpu")]
+    Device,
 }
 
 /// Sizes of a run.
@@ -103,6 +108,10 @@ pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
         studies::batches(&extent, &mut csv);
     }
     write_file(&args.output.join("culling.csv"), &csv)?;
+    #[cfg(feature = "gpu")]
+    if chosen(Study::Device) {
+        on_device::run(&extent, args)?;
+    }
     Ok(())
 }
 

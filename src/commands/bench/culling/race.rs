@@ -52,7 +52,7 @@ const WALK_STEP: f64 = 0.1;
 
 /// The cameras of a course. A walk is a steady piece from the middle of the scene's walk; the other
 /// paths are whole.
-fn cameras(scene: &ModelScene, path: CameraPath, frames: u32) -> Vec<Camera> {
+pub(super) fn cameras(scene: &ModelScene, path: CameraPath, frames: u32) -> Vec<Camera> {
     if path != CameraPath::Walk {
         return camera_path(scene, path, frames);
     }

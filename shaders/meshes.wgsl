@@ -121,12 +121,27 @@ fn lit(color: vec4<f32>, vertex: Vertex, is_front: bool) -> vec4<f32> {
     return unpack4x8unorm(bytes.x | (bytes.y << 8u) | (bytes.z << 16u) | 0xff000000u);
 }
 
+// How often each pixel is shaded, with the same result; more than once only to measure what dear
+// shading changes.
+override SHADING_REPEATS: u32 = 1u;
+
+fn shade(color: vec4<f32>, vertex: Vertex, is_front: bool) -> vec4<f32> {
+    var result = lit(color, vertex, is_front);
+    for (var at = 1u; at < SHADING_REPEATS; at += 1u) {
+        var again = vertex;
+        // Nothing is added, which is not known before the shader runs.
+        again.normal += result.xyz * f32(frame.padding_0);
+        result = lit(color + result * f32(frame.padding_0), again, is_front);
+    }
+    return result;
+}
+
 // Towards the light: unit, world axes.
 const SUN: vec3<f32> = vec3<f32>(-0.36, -0.48, 0.8);
 
 @fragment
 fn mesh_color(vertex: Vertex, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
-    return lit(surface_color(vertex), vertex, is_front);
+    return shade(surface_color(vertex), vertex, is_front);
 }
 
 @fragment
@@ -135,7 +150,7 @@ fn cut_out_color(vertex: Vertex, @builtin(front_facing) is_front: bool) -> @loca
     if color.w < materials[vertex.material].alpha_cutoff {
         discard;
     }
-    return lit(color, vertex, is_front);
+    return shade(color, vertex, is_front);
 }
 
 @fragment

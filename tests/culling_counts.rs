@@ -597,3 +597,44 @@ fn shared_leaves_are_drawn_once() {
         assert!(counters.iter().all(|counters| counters.leaves_drawn == 1));
     }
 }
+
+/// A tree that is built anew gives its ids to other nodes: nothing that was learned, and no answer
+/// that is still on its way, is taken for one of theirs.
+#[test]
+fn a_rebuilt_tree_is_a_new_one() {
+    let stage = Stage::new(SceneKind::City, 3);
+    let model = &stage.scene.model;
+    let views = stage.steady_walk(12, 0.1);
+    // As many nodes, with other ids: the objects come in another order.
+    let mirrored: Vec<Aabb> = model.object_bounds().into_iter().rev().collect();
+    let costs: Vec<u64> = model
+        .objects
+        .iter()
+        .rev()
+        .map(|object| model.mesh(object).triangles.len() as u64)
+        .collect();
+    let other = esker::mesh::Model {
+        objects: model.objects.iter().rev().copied().collect(),
+        ..model.clone()
+    };
+    let tree = Bvh::build(&mirrored, &costs, 1);
+    assert_eq!(tree.node_limit(), stage.tree.node_limit());
+    let leaves = esker::visibility::ModelLeaves { model: &other, tree: &tree };
+    // Without tests at random frames, which depend on the number of the frame.
+    let plus = ChcPlusOptions { jitter: false, growing_period: false, ..plus() };
+    let chc = ChcOptions { assume_visible_frames: 3, ..CHC };
+    for algorithm in [Algorithm::Chc(chc), Algorithm::ChcPlus(plus)] {
+        let walk = |culler: &mut Culler, device: &mut dyn OcclusionDevice| -> Vec<CullCounters> {
+            views[6..].iter().map(|view| culler.frame(&tree, view, device)).collect()
+        };
+        let mut device = SoftwareDevice::new(leaves, &views[0], Latency::Batches);
+        let expected = walk(&mut Culler::new(algorithm), &mut device);
+        let mut culler = Culler::new(algorithm);
+        let mut before = SoftwareDevice::new(stage.leaves(), &views[0], Latency::Batches);
+        for view in &views[..6] {
+            culler.frame(&stage.tree, view, &mut before);
+        }
+        let mut device = SoftwareDevice::new(leaves, &views[0], Latency::Batches);
+        assert_eq!(walk(&mut culler, &mut device), expected, "{}", algorithm.name());
+    }
+}

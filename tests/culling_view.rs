@@ -33,7 +33,7 @@ fn objects(stage: &Stage, states: &[NodeStatus], of: &[NodeState]) -> Vec<Object
 
 #[test]
 fn every_object_is_in_one_box_and_boxes_say_what_happened() {
-    let [auto, none, frustum, naive, stop_and_wait, chc, plus] = Algorithm::usual();
+    let [auto, none, frustum, naive, stop_and_wait, chc, plus, _] = Algorithm::usual();
     let Algorithm::ChcPlus(options) = plus else { panic!("{plus:?}") };
     let late = LateAnswers::Rounds(0);
     let seed_first_frame = false;

@@ -5,27 +5,25 @@
 
 #[path = "support/device.rs"]
 mod device;
+#[path = "support/occlusion_stage.rs"]
+mod stage;
 
 use std::sync::Arc;
 
 use device::gpu;
 use esker::frame::{CullingAnswers, FrameSettings, RasterPath, Renderer};
 use esker::geometry::{Aabb, View};
-use esker::gpu::layout::GpuFrame;
 use esker::gpu::{Gpu, read_texture};
-use esker::hierarchy::{BoundingHierarchy, Bvh};
 use esker::ids::TreeNodeId;
 use esker::mesh::Model;
-use esker::mesh::scenes::{CameraPath, ModelScene, SceneKind, camera_path};
-use esker::passes::{
-    CulledMeshes, DepthPyramid, DepthPyramidCpu, Meshes, OcclusionQueries, Picture, Targets, Tile,
-};
-use esker::select::SplatSettings;
+use esker::mesh::scenes::{CameraPath, SceneKind};
+use esker::passes::{DepthPyramid, DepthPyramidCpu, OcclusionQueries, Picture, Targets};
 use esker::visibility::{
-    Algorithm, Answer, ChcOptions, ChcPlusOptions, Drawables, ItemBuffer, ModelLeaves,
-    OcclusionDevice, Proxies, QueryId, meets_near_plane,
+    Algorithm, ChcOptions, ChcPlusOptions, Drawables, ItemBuffer, ModelLeaves, Proxies,
+    meets_near_plane,
 };
 use glam::Vec3;
+use stage::{Stage, frame_of, leaves_of, tree_over, views};
 
 /// Fills a depth target with numbers that follow from the pixel, some of them 0.
 const SCATTER: &str = "
@@ -126,25 +124,6 @@ fn texels_are_the_farthest_depths_of_what_they_cover() {
     }
 }
 
-fn tree_over(model: &Model) -> Bvh {
-    let costs: Vec<u64> =
-        model.objects.iter().map(|object| model.mesh(object).triangles.len() as u64).collect();
-    Bvh::build(&model.object_bounds(), &costs, 1)
-}
-
-fn leaves_of(tree: &Bvh) -> Vec<TreeNodeId> {
-    (0..tree.node_count() as u32).map(TreeNodeId).filter(|&node| tree.is_leaf(node)).collect()
-}
-
-fn views(scene: &ModelScene, path: CameraPath, frames: u32, size: (u32, u32)) -> Vec<View> {
-    let view = |camera| View { camera, width_px: size.0, height_px: size.1 };
-    camera_path(scene, path, frames).into_iter().map(view).collect()
-}
-
-fn frame_of(view: &View) -> GpuFrame {
-    Tile::whole(view).gpu_frame(view, &SplatSettings::default(), 0)
-}
-
 /// Corners relative to the eye, as the device gets them.
 fn relative(view: &View, bounds: &Aabb) -> [Vec3; 2] {
     [bounds.min, bounds.max].map(|corner| (corner - view.camera.eye).as_vec3())
@@ -193,71 +172,6 @@ fn hidden_boxes_hold_nothing_that_shows() {
     assert!(truly_hidden > 1000 && tested > truly_hidden);
 }
 
-/// A device over a model, as culling sees it.
-struct Stage {
-    gpu: Arc<Gpu>,
-    model: Arc<Model>,
-    tree: Bvh,
-    meshes: Meshes,
-    targets: Targets,
-    view: View,
-    frame: GpuFrame,
-}
-
-impl Stage {
-    fn new(gpu: &Arc<Gpu>, scene: &ModelScene, view: View) -> Stage {
-        let model = Arc::new(scene.model.clone());
-        let targets = Targets::new(gpu, view.width_px, view.height_px).unwrap();
-        let mut encoder = gpu.device().create_command_encoder(&Default::default());
-        targets.clear(&mut encoder, 0);
-        gpu.queue().submit([encoder.finish()]);
-        Stage {
-            gpu: gpu.clone(),
-            tree: tree_over(&model),
-            meshes: Meshes::new(gpu, &model).unwrap(),
-            model,
-            targets,
-            view,
-            frame: frame_of(&view),
-        }
-    }
-
-    /// Draws some leaves, asks about others in one round; `true` for what shows.
-    fn ask(
-        &mut self,
-        queries: &mut OcclusionQueries,
-        drawn: &[TreeNodeId],
-        asked: &[Vec<Aabb>],
-    ) -> Vec<bool> {
-        self.meshes.begin(&self.gpu, &self.view, &self.frame).unwrap();
-        let targets = (&self.targets, &self.targets);
-        let mut device = CulledMeshes::new(
-            &self.gpu,
-            queries,
-            &mut self.meshes,
-            &self.tree,
-            &self.frame,
-            targets,
-        );
-        device.begin_frame(&self.view);
-        drawn.iter().for_each(|&leaf| device.draw(leaf));
-        let ids: Vec<QueryId> = asked.iter().map(|boxes| device.query(boxes)).collect();
-        assert!(ids.iter().all(|&id| device.answer(id) == Answer::Unknown));
-        if let Some(&last) = ids.last() {
-            device.wait(last);
-        }
-        let shows = |&id: &QueryId| match device.answer(id) {
-            Answer::Samples(samples) => samples > 0,
-            Answer::Unknown => panic!("it was waited for"),
-        };
-        let answers = ids.iter().map(shows).collect();
-        device.end_frame();
-        assert_eq!(device.rounds(), 1);
-        device.finish().unwrap();
-        answers
-    }
-}
-
 #[test]
 fn the_device_answers_as_its_twin_and_never_less_than_queries() {
     let Some(gpu) = gpu() else { return };
@@ -267,7 +181,7 @@ fn the_device_answers_as_its_twin_and_never_less_than_queries() {
         for view in views(&scene, CameraPath::Walk, 3, (323, 201)) {
             let mut stage = Stage::new(&gpu, &scene, view);
             let leaves = leaves_of(&stage.tree);
-            let is_drawn = |leaf: &&TreeNodeId| leaf.index() % 2 == 0;
+            let is_drawn = |leaf: &&TreeNodeId| leaf.index().is_multiple_of(2);
             let drawn: Vec<_> = leaves.iter().filter(is_drawn).copied().collect();
             let proxies = Proxies::new(&view);
             let boxes: Vec<Vec<Aabb>> = leaves
@@ -294,35 +208,6 @@ fn the_device_answers_as_its_twin_and_never_less_than_queries() {
     assert!(1000 * differ <= asked_all, "{differ} of {asked_all} answers differ from the twin's");
     assert!(10 * hidden > asked_all, "{hidden} of {asked_all} hidden");
     assert!(100 * hidden >= 95 * hidden_by_queries, "{hidden} against {hidden_by_queries}");
-}
-
-/// More questions than one pass of queries, or one piece of memory for answers, can hold.
-#[test]
-fn thousands_of_questions_in_one_round_are_answered_each() {
-    let Some(gpu) = gpu() else { return };
-    let scene = SceneKind::Window.make(20, 1);
-    let view = views(&scene, CameraPath::Still, 1, (160, 100))[0];
-    let mut stage = Stage::new(&gpu, &scene, view);
-    let leaves = leaves_of(&stage.tree);
-    let camera = view.camera;
-    // Thin boxes right before the eye show, those far behind the ground and wall beside do not:
-    // beside the picture nothing shows.
-    let at = |ahead: f64, right: f64| {
-        let middle = camera.eye + camera.forward * ahead + camera.right() * right;
-        vec![Aabb::new(middle - 0.01, middle + 0.01)]
-    };
-    let shows = |number: usize| number % 7 == 3;
-    let asked: Vec<Vec<Aabb>> = (0..20_000)
-        .map(|number| if shows(number) { at(0.5, 0.0) } else { at(5.0, 500.0) })
-        .collect();
-    for mut queries in
-        [OcclusionQueries::new(&gpu).unwrap(), OcclusionQueries::by_pyramid(&gpu).unwrap()]
-    {
-        let answers = stage.ask(&mut queries, &leaves, &asked);
-        let wrong = answers.iter().enumerate().filter(|(number, seen)| **seen != shows(*number));
-        assert_eq!(wrong.count(), 0, "by pyramid: {}", queries.is_by_pyramid());
-    }
-    assert!(stage.model.objects.len() > 1);
 }
 
 fn film(model: &Arc<Model>, views: &[View], settings: &FrameSettings) -> Vec<(Picture, u64)> {

@@ -151,7 +151,7 @@ fn a_single_picture_asks_nothing_for_the_next() {
         let asked = renderer.stats().culling.map_or(0, |counters| counters.queries_issued);
         (picture, asked)
     };
-    let [auto, _, frustum, _, _, chc, plus] = Algorithm::usual();
+    let [auto, _, frustum, _, _, chc, plus, _] = Algorithm::usual();
     let (expected, _) = picture(frustum, true);
     for (culling, more_follow, asks) in [
         (auto, false, false),

@@ -10,7 +10,7 @@ mod memory_cloud;
 use std::sync::Arc;
 
 use device::gpu;
-use esker::frame::{FrameSettings, FrameStats, NodeSource, RasterPath, Renderer};
+use esker::frame::{CullingAnswers, FrameSettings, FrameStats, NodeSource, RasterPath, Renderer};
 use esker::geometry::View;
 use esker::gpu::Gpu;
 use esker::ids::ObjectId;
@@ -18,7 +18,7 @@ use esker::mesh::Model;
 use esker::mesh::scenes::{CameraPath, ModelScene, SceneKind, camera_path};
 use esker::passes::Picture;
 use esker::points::Lattice;
-use esker::visibility::{Algorithm, ItemBuffer};
+use esker::visibility::{Algorithm, ChcOptions, ChcPlusOptions, ItemBuffer};
 use glam::{DAffine3, DVec3, UVec3};
 use memory_cloud::MemoryCloud;
 
@@ -151,7 +151,8 @@ fn a_still_view_settles_to_what_shows() {
         counts[1..].iter().map(|frame| (frame.leaves_drawn, frame.pulled_down)).collect();
     let in_view = renderer.render(&view, &settings(Algorithm::Frustum)).unwrap().objects_drawn;
     let (first, settled) = (objects[0], objects[3]);
-    assert_eq!(first.0, u64::from(in_view), "nothing hides anything at first");
+    // Boxes in the frustum may lie beside the picture, but nothing hides anything at first.
+    assert!(first.0 <= u64::from(in_view) && 20 * first.0 > 19 * u64::from(in_view));
     assert_eq!(settled.1, 0, "nothing newly shows in a still view");
     assert_eq!(objects[2], settled);
     // The exact item buffer sees no object that was not drawn, and few were drawn that it does not
@@ -212,4 +213,44 @@ fn scenes_may_change() {
     compare(&|renderer| renderer.set_scene(Vec::new()), "without points");
     let nothing = Arc::new(Model::default());
     compare(&|renderer| renderer.set_model(nothing.clone()), "without models");
+}
+
+/// Depth first and colours afterwards, whatever culls: the same picture, and each object in two draws.
+#[test]
+fn shading_after_depth_gives_the_same_picture() {
+    if gpu().is_none() {
+        return;
+    }
+    let algorithms = [
+        Algorithm::Frustum,
+        Algorithm::Chc(ChcOptions { geometry_queries: true, ..ChcOptions::default() }),
+        Algorithm::ChcPlus(ChcPlusOptions::default()),
+        Algorithm::TwoPass,
+    ];
+    for (kind, size) in [(SceneKind::City, 2), (SceneKind::Rooms, 3), (SceneKind::Pipes, 3)] {
+        let scene = kind.make(size, 1);
+        let model = Arc::new(scene.model.clone());
+        let views = views(&scene, CameraPath::Walk, 5, (320, 200));
+        let expected = film(&model, None, &views, Algorithm::Frustum);
+        for algorithm in algorithms {
+            for answers in [CullingAnswers::Queries, CullingAnswers::Pyramid] {
+                let mut renderer = renderer(&model, None);
+                renderer.repeat_shading(3);
+                let shoot = |view: &View| {
+                    let depth_first = true;
+                    let settings = FrameSettings { depth_first, answers, ..settings(algorithm) };
+                    let stats = renderer.render(view, &settings).unwrap().clone();
+                    (renderer.read_picture().unwrap().expect("a frame was drawn"), stats)
+                };
+                let found: Vec<_> = views.iter().map(shoot).collect();
+                let what = format!("{}, {answers:?}, {}", kind.name(), algorithm.name());
+                assert_same(&expected, &found, &what);
+                if algorithm == Algorithm::Frustum {
+                    let (once, twice) = (&expected[0].1, &found[0].1);
+                    assert_eq!(twice.draw_calls, 2 * once.draw_calls, "{what}");
+                    assert_eq!(twice.triangles_drawn, once.triangles_drawn);
+                }
+            }
+        }
+    }
 }

@@ -56,6 +56,10 @@ pub(super) struct PictureOptions {
     /// by compute
     #[arg(long, value_enum, default_value = "queries")]
     culling_answers: AnswerChoice,
+    /// Draw models as depth alone first and shade them when all of it is there; without effect where
+    /// points are drawn too
+    #[arg(long)]
+    culling_depth_first: bool,
     /// Draw boxes over the picture: what was drawn green, drawn without being asked about yellow,
     /// hidden red, outside of the view blue. `above` shows it from a second camera above
     #[arg(long, value_enum, value_name = "WHERE", num_args = 0..=1, default_missing_value = "boxes")]
@@ -152,6 +156,7 @@ impl PictureOptions {
     /// Writes them into the settings of a frame.
     pub(super) fn apply(&self, settings: &mut FrameSettings) {
         settings.culling = self.culling.algorithm();
+        settings.depth_first = self.culling_depth_first;
         settings.answers = match self.culling_answers {
             AnswerChoice::Queries => CullingAnswers::Queries,
             AnswerChoice::Pyramid => CullingAnswers::Pyramid,

@@ -52,6 +52,8 @@ pub(super) struct OnGpu {
     pub(super) two_pass: Option<Box<TwoPass>>,
     /// Whether the last frame wrote depth.
     pub(super) has_depth: bool,
+    /// How often pixels of models are shaded; other than once to measure.
+    pub(super) shading_repeats: u32,
 }
 
 /// The pass that draws points there.
@@ -109,6 +111,9 @@ impl OnGpu {
                 self.two_pass = Some(Box::new(TwoPass::new(&gpu)?));
             }
         }
+        if let Some(meshes) = &mut self.meshes {
+            meshes.repeat_shading(self.shading_repeats);
+        }
         let (meshes, occlusion) = (&mut self.meshes, &mut self.occlusion);
         let two_pass = &mut self.two_pass;
         let (pass, timer, finish) = (&mut self.pass, &mut self.timer, &mut self.finish);
@@ -127,6 +132,8 @@ impl OnGpu {
             let mut mesh_bytes = 0;
             let mut culled = None;
             let mut culling_dispatches = 0;
+            // Where points are drawn, a model exactly as far away as one would be shaded over it.
+            let shades_after = settings.depth_first && table.draws.is_empty();
             if let (Some(models), Some(meshes)) = (models, meshes) {
                 meshes.begin(&gpu, models.view, frame)?;
                 match (models.culling, occlusion) {
@@ -138,7 +145,8 @@ impl OnGpu {
                     {
                         let (visible, view) = (models.visible, models.view);
                         let targets = finish.finished(targets);
-                        let drawing = TwoPassDrawing { bounds, visible, view, frame, targets };
+                        let drawing =
+                            TwoPassDrawing { shades_after, bounds, visible, view, frame, targets };
                         let counts = two_pass.record(&gpu, &mut encoder, meshes, &drawing)?;
                         mesh_counts = two_pass.counts().drawn();
                         (mesh_counts.draw_calls, culling_dispatches) = counts;
@@ -147,8 +155,17 @@ impl OnGpu {
                     _ => {
                         let list = meshes.list(&gpu, models.visible, DrawOrder::Grouped)?;
                         let (colors, depths) = finish.finished(targets);
-                        let mut pass = begin_over(&mut encoder, timer, colors, depths);
-                        mesh_counts = meshes.record(&gpu, &mut pass, &list, MeshOutput::COLOR)?;
+                        let mut output = MeshOutput::COLOR;
+                        let mut calls = 0;
+                        if shades_after {
+                            let mut pass = begin_over(&mut encoder, timer, None, depths);
+                            let depth = MeshOutput::DEPTH;
+                            calls = meshes.record(&gpu, &mut pass, &list, depth)?.draw_calls;
+                            output = MeshOutput::SHADE;
+                        }
+                        let mut pass = begin_over(&mut encoder, timer, Some(colors), depths);
+                        mesh_counts = meshes.record(&gpu, &mut pass, &list, output)?;
+                        mesh_counts.draw_calls += calls;
                         mesh_bytes = meshes.take_uploaded_bytes();
                     }
                 }
@@ -165,6 +182,7 @@ impl OnGpu {
                 let ModelCulling { tree, culler, meter } = culling;
                 let begun = meter.begin(&gpu, culler)?;
                 let mut drawing = CulledMeshes::new(&gpu, queries, meshes, tree, frame, over);
+                drawing.shades_after = shades_after;
                 culler.frame(tree, view, &mut drawing);
                 mesh_counts = drawing.finish()?;
                 meter.end(&gpu, culler, begun)?;
@@ -236,30 +254,32 @@ impl OnGpu {
     }
 }
 
-/// A pass that draws over a picture that is there.
+/// A pass that draws over a picture that is there, or over its depth alone.
 #[cfg(feature = "gpu")]
 fn begin_over<'a>(
     encoder: &'a mut wgpu::CommandEncoder,
     timer: &mut PassTimer,
-    colors: &Targets,
+    colors: Option<&Targets>,
     depths: &Targets,
 ) -> wgpu::RenderPass<'a> {
-    let color = wgpu::RenderPassColorAttachment {
+    let color = colors.map(|colors| wgpu::RenderPassColorAttachment {
         view: colors.color_view(),
         depth_slice: None,
         resolve_target: None,
         ops: wgpu::Operations { load: wgpu::LoadOp::Load, store: wgpu::StoreOp::Store },
-    };
+    });
+    let color = [color];
+    let label = if color[0].is_some() { "meshes" } else { "mesh depth" };
     let depth = depths.depth_view().map(|view| wgpu::RenderPassDepthStencilAttachment {
         view,
         depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Load, store: wgpu::StoreOp::Store }),
         stencil_ops: None,
     });
     encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-        label: Some("meshes"),
-        color_attachments: &[Some(color)],
+        label: Some(label),
+        color_attachments: if color[0].is_some() { &color } else { &[] },
         depth_stencil_attachment: depth,
-        timestamp_writes: timer.render_pass("meshes"),
+        timestamp_writes: timer.render_pass(label),
         ..Default::default()
     })
 }

@@ -164,6 +164,16 @@ impl Renderer {
         self.last = None;
     }
 
+    /// Shades each pixel of models so many times, with the same picture; to measure what dear
+    /// shading changes. On the CPU nothing changes.
+    #[cfg(feature = "gpu")]
+    pub fn repeat_shading(&mut self, times: u32) {
+        match &mut self.device {
+            Device::Cpu { .. } => {}
+            Device::Gpu(on_gpu) => on_gpu.shading_repeats = times.max(1),
+        }
+    }
+
     /// The box of all objects; empty without models.
     pub(super) fn model_bounds(&self) -> Aabb {
         self.models.as_ref().map_or(Aabb::EMPTY, |models| models.all)

@@ -117,6 +117,7 @@ impl Renderer {
             occlusion: None,
             two_pass: None,
             has_depth: false,
+            shading_repeats: 1,
         }));
         Ok(Renderer::new(device, storage))
     }

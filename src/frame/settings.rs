@@ -120,6 +120,10 @@ pub struct FrameSettings {
     pub culling: Algorithm,
     /// What answers the questions of culling. Default: occlusion queries.
     pub answers: CullingAnswers,
+    /// Whether models are drawn as depth alone first and shaded when all of it is there, so that each
+    /// pixel is shaded once: for dear shading. More triangles are drawn for it. Default off; without
+    /// effect where points are drawn too.
+    pub depth_first: bool,
 }
 
 /// What answers whether a box would show.
@@ -159,6 +163,7 @@ impl Default for FrameSettings {
             more_follow: true,
             culling: Algorithm::Frustum,
             answers: CullingAnswers::Queries,
+            depth_first: false,
         }
     }
 }

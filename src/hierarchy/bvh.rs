@@ -1,11 +1,16 @@
 //! The bounding volume hierarchy over objects.
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use crate::geometry::Aabb;
 use crate::hierarchy::build::{self, Item, Subtree};
 use crate::hierarchy::{BoundingHierarchy, surface_area};
 use crate::ids::{ObjectId, TreeNodeId};
 
 const NONE: u32 = u32::MAX;
+
+/// Trees built by this process.
+static BUILT: AtomicU64 = AtomicU64::new(0);
 
 #[derive(Clone, Copy, Debug)]
 struct Node {
@@ -34,6 +39,8 @@ pub struct Bvh {
     object_bounds: Vec<Aabb>,
     /// A leaf beside the tree for objects without a finite box.
     unbounded: Option<u32>,
+    /// Which of the trees built so far it is.
+    generation: u64,
 }
 
 impl Bvh {
@@ -60,6 +67,7 @@ impl Bvh {
         let mut bvh = Bvh {
             leaf_of: vec![NONE; bounds.len()],
             object_bounds: bounds.to_vec(),
+            generation: BUILT.fetch_add(1, Ordering::Relaxed) + 1,
             ..Bvh::default()
         };
         if !items.is_empty() {
@@ -227,6 +235,10 @@ impl BoundingHierarchy for Bvh {
     fn root(&self) -> Option<TreeNodeId> {
         // A scene of unbounded objects alone has only the leaf beside the tree.
         (!self.nodes.is_empty() && self.unbounded != Some(0)).then_some(TreeNodeId(0))
+    }
+
+    fn generation(&self) -> u64 {
+        self.generation
     }
 
     fn node_limit(&self) -> usize {

@@ -55,6 +55,13 @@ impl<A: BoundingHierarchy, B: BoundingHierarchy> BoundingHierarchy for Joined<A,
         1 + self.first.node_limit() + self.second.node_limit()
     }
 
+    fn generation(&self) -> u64 {
+        // Where the second tree's ids begin depends on the first.
+        let of =
+            [self.first.generation(), self.first.node_limit() as u64, self.second.generation()];
+        of.into_iter().fold(0, |all, one| (all ^ one).wrapping_mul(0x9e37_79b9_7f4a_7c15))
+    }
+
     fn parent(&self, node: TreeNodeId) -> Option<TreeNodeId> {
         Some(match self.side(node) {
             Side::Root => return None,

@@ -52,6 +52,12 @@ pub trait BoundingHierarchy {
         0.0
     }
 
+    /// A number that changes when the tree is built anew, after which ids mean other nodes; what was
+    /// learned of them is then forgotten.
+    fn generation(&self) -> u64 {
+        0
+    }
+
     /// Leaves outside the tree that are drawn in every frame, because no box is known for them.
     fn always_drawn(&self) -> impl Iterator<Item = TreeNodeId> {
         std::iter::empty()

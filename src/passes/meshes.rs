@@ -56,6 +56,12 @@ impl MeshOutput {
     };
     /// Depth alone, in a pass without colours.
     pub const DEPTH: MeshOutput = MeshOutput { color: MeshColor::Absent, ..MeshOutput::COLOR };
+    /// Colour where the depth is there already, so that each pixel is shaded once.
+    pub const SHADE: MeshOutput = MeshOutput {
+        color: MeshColor::Written,
+        depth_compare: wgpu::CompareFunction::Equal,
+        writes_depth: false,
+    };
 }
 
 /// Objects to draw, in memory of the device.
@@ -117,6 +123,7 @@ pub struct Meshes {
     /// Place of each object among all in the order of drawing; empty if out of date.
     ranks: Vec<u32>,
     draws_indirectly: bool,
+    shading_repeats: u32,
     reduced_textures: u32,
     uploaded_bytes: u64,
 }
@@ -215,6 +222,7 @@ impl Meshes {
                     .device()
                     .features()
                     .contains(wgpu::Features::INDIRECT_FIRST_INSTANCE),
+                shading_repeats: 1,
                 reduced_textures: tables.reduced_textures,
                 uploaded_bytes,
             }
@@ -225,6 +233,14 @@ impl Meshes {
     pub fn without_indirect_draws(mut self) -> Self {
         self.draws_indirectly = false;
         self
+    }
+
+    /// Shades each pixel so many times, with the same result; to measure what dear shading changes.
+    pub fn repeat_shading(&mut self, times: u32) {
+        if self.shading_repeats != times {
+            self.shading_repeats = times;
+            self.pipelines.clear();
+        }
     }
 
     /// Number of objects.
@@ -478,6 +494,7 @@ impl Meshes {
                 })
             })
             .collect();
+        let constants = [("SHADING_REPEATS", f64::from(self.shading_repeats))];
         // A pass with colours needs a stage that could write them.
         let fragment_entry = fragment_entry.or((!targets.is_empty()).then_some("no_color"));
         gpu.device().create_render_pipeline(&wgpu::RenderPipelineDescriptor {
@@ -509,7 +526,10 @@ impl Meshes {
             fragment: fragment_entry.map(|entry| wgpu::FragmentState {
                 module: &self.shader,
                 entry_point: Some(entry),
-                compilation_options: Default::default(),
+                compilation_options: wgpu::PipelineCompilationOptions {
+                    constants: &constants,
+                    ..Default::default()
+                },
                 targets: &targets,
             }),
             multiview_mask: None,

@@ -34,7 +34,8 @@ const CALLBACK_LIMIT: Duration = Duration::from_secs(10);
 /// The questions of one view: those under way, and answers of the last frame and this one.
 #[derive(Debug)]
 pub struct OcclusionQueries {
-    pipeline: wgpu::RenderPipeline,
+    /// In passes with colours, and in passes with depth alone.
+    pipelines: [wgpu::RenderPipeline; 2],
     frame_layout: wgpu::BindGroupLayout,
     box_layout: wgpu::BindGroupLayout,
     frame: GrowingBuffer,
@@ -74,7 +75,7 @@ impl OcclusionQueries {
             let layouts =
                 pipeline_layout(gpu, "occlusion boxes", &[Some(&frame_layout), Some(&box_layout)]);
             OcclusionQueries {
-                pipeline: pipeline(gpu, &layouts, &module),
+                pipelines: [true, false].map(|colors| pipeline(gpu, &layouts, &module, colors)),
                 frame_layout,
                 box_layout,
                 frame: GrowingBuffer::new("frame", wgpu::BufferUsages::UNIFORM),
@@ -167,6 +168,7 @@ fn pipeline(
     gpu: &Gpu,
     layouts: &wgpu::PipelineLayout,
     module: &wgpu::ShaderModule,
+    has_colors: bool,
 ) -> wgpu::RenderPipeline {
     gpu.device().create_render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some("occlusion boxes"),
@@ -184,7 +186,7 @@ fn pipeline(
             ..Targets::depth_state(wgpu::CompareFunction::GreaterEqual)
         }),
         multisample: wgpu::MultisampleState::default(),
-        fragment: Some(wgpu::FragmentState {
+        fragment: has_colors.then_some(wgpu::FragmentState {
             module,
             entry_point: Some("no_color"),
             compilation_options: Default::default(),
@@ -213,7 +215,11 @@ pub struct CulledMeshes<'a> {
     pub frame: &'a GpuFrame,
     /// Targets with the colours, and with the depths; both are drawn over.
     pub targets: (&'a Targets, &'a Targets),
+    /// Whether depth alone is drawn in the rounds, and colours when all of it is there.
+    pub shades_after: bool,
     recording: Recording,
+    /// Objects to shade after the rounds.
+    shaded: Vec<ObjectId>,
 }
 
 /// What waits for the next submission.
@@ -244,7 +250,8 @@ impl<'a> CulledMeshes<'a> {
         targets: (&'a Targets, &'a Targets),
     ) -> Self {
         let recording = Recording::default();
-        CulledMeshes { gpu, queries, meshes, tree, frame, targets, recording }
+        let (shades_after, shaded) = (false, Vec::new());
+        CulledMeshes { gpu, queries, meshes, tree, frame, targets, shades_after, recording, shaded }
     }
 
     /// What was drawn.
@@ -268,6 +275,9 @@ impl<'a> CulledMeshes<'a> {
         }
         let work = std::mem::take(&mut self.recording);
         let (view, mut counts, rounds) = (work.view, work.counts, work.rounds + 1);
+        if self.shades_after {
+            self.shaded.extend(work.drawn.iter().chain(&work.asked_objects));
+        }
         let asks = !work.queries.is_empty();
         let draws = !work.drawn.is_empty() || !work.asked.is_empty();
         // From the last round's questions back to drawing, and on to asking.
@@ -287,6 +297,7 @@ impl<'a> CulledMeshes<'a> {
 
     fn round(&mut self, work: &Recording) -> Result<MeshCounts, GpuError> {
         let gpu = self.gpu;
+        let output = if self.shades_after { MeshOutput::DEPTH } else { MeshOutput::COLOR };
         let list = self.meshes.list(gpu, &work.drawn, DrawOrder::Grouped)?;
         let asked = self.meshes.list(gpu, &work.asked_objects, DrawOrder::Kept)?;
         // A buffer of its own: submissions of a frame must not overwrite each other's boxes before
@@ -310,11 +321,11 @@ impl<'a> CulledMeshes<'a> {
         if self.queries.pyramid.is_some() {
             counts += self.meshes.record(
                 gpu,
-                &mut self.begin_pass(&mut encoder),
+                &mut self.begin_pass(&mut encoder, !self.shades_after),
                 &list,
-                MeshOutput::COLOR,
+                output,
             )?;
-            parts = self.ask_pyramid(&mut encoder, &boxes, work)?;
+            parts = self.ask_pyramid(&mut encoder, boxes, work)?;
             gpu.queue().submit([encoder.finish()]);
             let ids: Vec<QueryId> = work.queries.iter().map(|(id, _)| *id).collect();
             for (buffer, slots) in parts {
@@ -326,18 +337,17 @@ impl<'a> CulledMeshes<'a> {
         loop {
             let to = slots.min(from + SET_SIZE as usize);
             {
-                let mut pass = self.begin_pass(&mut encoder);
+                let mut pass = self.begin_pass(&mut encoder, !self.shades_after);
                 if from == 0 {
-                    counts += self.meshes.record(gpu, &mut pass, &list, MeshOutput::COLOR)?;
+                    counts += self.meshes.record(gpu, &mut pass, &list, output)?;
                 }
                 for slot in from..to.min(work.asked.len()) {
                     pass.begin_occlusion_query((slot - from) as u32);
                     let objects = work.asked[slot].1.clone();
-                    let output = MeshOutput::COLOR;
                     counts += self.meshes.record_part(gpu, &mut pass, &asked, objects, output)?;
                     pass.end_occlusion_query();
                 }
-                pass.set_pipeline(&self.queries.pipeline);
+                pass.set_pipeline(&self.queries.pipelines[usize::from(self.shades_after)]);
                 pass.set_bind_group(0, &groups[0], &[]);
                 pass.set_bind_group(1, &groups[1], &[]);
                 for slot in from.max(work.asked.len())..to {
@@ -417,9 +427,32 @@ impl<'a> CulledMeshes<'a> {
         self.queries.under_way.push_back(Submission { buffer, queries, answer_bytes, is_done });
     }
 
-    fn begin_pass<'e>(&self, encoder: &'e mut wgpu::CommandEncoder) -> wgpu::RenderPass<'e> {
+    /// Gives the objects of all rounds their colours; the calls it took.
+    fn shade(&mut self) -> Result<u32, GpuError> {
+        let gpu = self.gpu;
+        let list = self.meshes.list(gpu, &self.shaded, DrawOrder::Grouped)?;
+        self.shaded.clear();
+        let mut encoder = gpu.device().create_command_encoder(&Default::default());
+        let mut pass = self.begin_pass(&mut encoder, true);
+        let counts = self.meshes.record(gpu, &mut pass, &list, MeshOutput::SHADE)?;
+        drop(pass);
+        gpu.queue().submit([encoder.finish()]);
+        Ok(counts.draw_calls)
+    }
+
+    fn begin_pass<'e>(
+        &self,
+        encoder: &'e mut wgpu::CommandEncoder,
+        has_colors: bool,
+    ) -> wgpu::RenderPass<'e> {
         let (colors, depths) = self.targets;
         let over = wgpu::Operations { load: wgpu::LoadOp::Load, store: wgpu::StoreOp::Store };
+        let color = [Some(wgpu::RenderPassColorAttachment {
+            view: colors.color_view(),
+            depth_slice: None,
+            resolve_target: None,
+            ops: over,
+        })];
         let depth = depths.depth_view().map(|view| wgpu::RenderPassDepthStencilAttachment {
             view,
             depth_ops: Some(wgpu::Operations {
@@ -430,12 +463,7 @@ impl<'a> CulledMeshes<'a> {
         });
         encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("culled meshes"),
-            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                view: colors.color_view(),
-                depth_slice: None,
-                resolve_target: None,
-                ops: over,
-            })],
+            color_attachments: if has_colors { &color } else { &[] },
             depth_stencil_attachment: depth,
             occlusion_query_set: Some(&self.queries.set),
             ..Default::default()
@@ -513,6 +541,14 @@ impl OcclusionDevice for CulledMeshes<'_> {
 
     fn end_frame(&mut self) {
         self.submit();
+        if self.shades_after && !self.shaded.is_empty() && self.recording.failure.is_none() {
+            let gpu = self.gpu;
+            let shaded = gpu.checked("shade what culling left", || self.shade());
+            match shaded.and_then(|calls| calls) {
+                Ok(calls) => self.recording.counts.draw_calls += calls,
+                Err(error) => self.recording.failure = Some(error),
+            }
+        }
     }
 
     fn state_switches(&self) -> u64 {

@@ -111,6 +111,8 @@ pub struct TwoPassDrawing<'a> {
     pub frame: &'a GpuFrame,
     /// Targets with the colours, and with the depths; both are drawn over.
     pub targets: (&'a Targets, &'a Targets),
+    /// Whether depth alone is drawn first, and colours when all of it is there.
+    pub shades_after: bool,
 }
 
 impl TwoPass {
@@ -248,9 +250,13 @@ impl TwoPass {
         encoder.clear_buffer(state, 0, Some(COUNT_BYTES));
         gather(&mut begin_compute(encoder, "gather what was visible"), 0);
         let mut calls = 0;
+        let (drawn_to, output) = match drawing.shades_after {
+            true => (None, MeshOutput::DEPTH),
+            false => (Some(colors), MeshOutput::COLOR),
+        };
         {
-            let mut pass = begin_over(encoder, colors, depths);
-            calls += meshes.record(gpu, &mut pass, &first, MeshOutput::COLOR)?.draw_calls;
+            let mut pass = begin_over(encoder, drawn_to, depths);
+            calls += meshes.record(gpu, &mut pass, &first, output)?.draw_calls;
         }
         let mut dispatches = 3;
         {
@@ -265,8 +271,14 @@ impl TwoPass {
         // A pass of its own: the groups of the test would be in the way.
         gather(&mut begin_compute(encoder, "gather what newly shows"), 1);
         {
-            let mut pass = begin_over(encoder, colors, depths);
-            calls += meshes.record(gpu, &mut pass, &second, MeshOutput::COLOR)?.draw_calls;
+            let mut pass = begin_over(encoder, drawn_to, depths);
+            calls += meshes.record(gpu, &mut pass, &second, output)?.draw_calls;
+        }
+        if drawing.shades_after {
+            let mut pass = begin_over(encoder, Some(colors), depths);
+            for list in [&first, &second] {
+                calls += meshes.record(gpu, &mut pass, list, MeshOutput::SHADE)?.draw_calls;
+            }
         }
         self.copy_counts(gpu, encoder, tested);
         Ok((calls, dispatches))
@@ -433,19 +445,20 @@ fn begin_compute<'a>(
     })
 }
 
-/// A pass that draws over a picture that is there.
+/// A pass that draws over a picture that is there, or over its depth alone.
 fn begin_over<'a>(
     encoder: &'a mut wgpu::CommandEncoder,
-    colors: &Targets,
+    colors: Option<&Targets>,
     depths: &Targets,
 ) -> wgpu::RenderPass<'a> {
     let load = wgpu::Operations { load: wgpu::LoadOp::Load, store: wgpu::StoreOp::Store };
-    let color = wgpu::RenderPassColorAttachment {
+    let color = colors.map(|colors| wgpu::RenderPassColorAttachment {
         view: colors.color_view(),
         depth_slice: None,
         resolve_target: None,
         ops: load,
-    };
+    });
+    let colors = [color];
     let depth = depths.depth_view().map(|view| wgpu::RenderPassDepthStencilAttachment {
         view,
         depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Load, store: wgpu::StoreOp::Store }),
@@ -453,7 +466,7 @@ fn begin_over<'a>(
     });
     encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
         label: Some("meshes, two passes"),
-        color_attachments: &[Some(color)],
+        color_attachments: if colors[0].is_some() { &colors } else { &[] },
         depth_stencil_attachment: depth,
         ..Default::default()
     })

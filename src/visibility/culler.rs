@@ -106,6 +106,8 @@ pub struct Culler {
     last_camera: Option<Camera>,
     queried_last: bool,
     more_follow: bool,
+    /// That of the last frame's tree.
+    generation: u64,
     drawn: Vec<TreeNodeId>,
     counters: CullCounters,
 }
@@ -123,6 +125,7 @@ impl Culler {
             last_camera: None,
             queried_last: false,
             more_follow: true,
+            generation: 0,
             drawn: Vec::new(),
             counters: CullCounters::default(),
         }
@@ -200,6 +203,10 @@ impl Culler {
         view: &View,
         device: &mut dyn OcclusionDevice,
     ) -> CullCounters {
+        if std::mem::replace(&mut self.generation, tree.generation()) != tree.generation() {
+            // Ids mean other nodes now, in answers that are still to come as well.
+            self.forget();
+        }
         let near_last = self.is_coherent(tree, &view.camera);
         let coherent = self.queried_last && near_last;
         self.last_camera = Some(view.camera);

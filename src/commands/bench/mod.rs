@@ -60,6 +60,13 @@ pub struct BenchArgs {
     /// culling: only these studies [default: all]
     #[arg(long, value_enum, value_delimiter = ',', value_name = "STUDY")]
     culling_study: Vec<culling::Study>,
+    /// culling: only these courses of the study on the device, such as city-walk [default: all]
+    #[cfg(feature = "gpu")]
+    #[arg(long, value_delimiter = ',', value_name = "COURSE")]
+    culling_course: Vec<String>,
+    /// culling: frames of a course [default: 120, with --quick 12]
+    #[arg(long, value_name = "FRAMES", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    culling_frames: Option<u32>,
     /// convert: most memory to use, such as 2GiB [default: half of what there is]
     #[arg(long, value_parser = parse_bytes)]
     memory: Option<u64>,

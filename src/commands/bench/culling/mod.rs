@@ -9,6 +9,8 @@ mod methods;
 #[cfg(feature = "gpu")]
 mod on_device;
 mod race;
+#[cfg(feature = "gpu")]
+mod shading;
 mod studies;
 
 use std::fmt::Write;
@@ -35,6 +37,9 @@ pub(super) enum Study {
     /// Times, and the ways to deal with late answers, on the adapter that is there.
     #[cfg(feature = "gpu")]
     Device,
+    /// Times on the adapter as shading grows dearer, with depth first and without.
+    #[cfg(feature = "gpu")]
+    Shading,
 }
 
 /// Sizes of a run.
@@ -50,7 +55,8 @@ impl Extent {
     fn of(args: &BenchArgs) -> Self {
         let usual = if args.quick { (160, 90) } else { (640, 360) };
         let (width, height) = args.size.unwrap_or(usual);
-        Extent { width, height, frames: if args.quick { 12 } else { 120 }, quick: args.quick }
+        let frames = args.culling_frames.unwrap_or(if args.quick { 12 } else { 120 });
+        Extent { width, height, frames, quick: args.quick }
     }
 
     /// The size at which a scene is made.
@@ -109,8 +115,8 @@ pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     }
     write_file(&args.output.join("culling.csv"), &csv)?;
     #[cfg(feature = "gpu")]
-    if chosen(Study::Device) {
-        on_device::run(&extent, args)?;
+    if chosen(Study::Device) || chosen(Study::Shading) {
+        on_device::run(&extent, args, chosen(Study::Device), chosen(Study::Shading))?;
     }
     Ok(())
 }

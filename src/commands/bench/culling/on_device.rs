@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use crate::commands::bench::{BenchArgs, write_file};
-use crate::frame::{FrameSettings, RasterPath, Renderer};
+use crate::frame::{CullingAnswers, FrameSettings, RasterPath, Renderer};
 use crate::geometry::View;
 use crate::gpu::Gpu;
 use crate::mesh::scenes::{CameraPath, SceneKind};
@@ -18,7 +18,7 @@ use crate::passes::Picture;
 use crate::visibility::{Algorithm, ChcOptions, ChcPlusOptions, CullingCosts, LateAnswers};
 
 use super::race::{Result as Raced, cameras};
-use super::{COURSES, Extent};
+use super::{COURSES, Extent, shading};
 
 /// Frames at the start that are left out of medians: methods learn in them.
 const LEARNING: usize = 4;
@@ -45,6 +45,7 @@ struct Frame {
 /// The three ways to deal with late answers, their relatives, and what they are measured by.
 fn methods() -> Vec<(&'static str, FrameSettings)> {
     let with = |culling| FrameSettings { culling, ..FrameSettings::default() };
+    let by_pyramid = |culling| FrameSettings { answers: CullingAnswers::Pyramid, ..with(culling) };
     let (chc, plus) = (ChcOptions::default(), ChcPlusOptions::default());
     let late = LateAnswers::NextFrame;
     vec![
@@ -53,12 +54,19 @@ fn methods() -> Vec<(&'static str, FrameSettings)> {
         ("a frame late", with(Algorithm::Chc(ChcOptions { late, ..chc }))),
         ("chc", with(Algorithm::Chc(chc))),
         ("chc++", with(Algorithm::ChcPlus(plus))),
+        ("chc++, pyramid", by_pyramid(Algorithm::ChcPlus(plus))),
+        ("two-pass", with(Algorithm::TwoPass)),
         ("auto", with(Algorithm::Auto(plus, CullingCosts::default()))),
     ]
 }
 
-/// Runs the study on the adapter that is there; says so where there is none.
-pub(super) fn run(extent: &Extent, args: &BenchArgs) -> anyhow::Result<()> {
+/// Runs the studies on the adapter that is there; says so where there is none.
+pub(super) fn run(
+    extent: &Extent,
+    args: &BenchArgs,
+    races: bool,
+    shades: bool,
+) -> anyhow::Result<()> {
     let gpu = match Gpu::open() {
         Ok(gpu) => Arc::new(gpu),
         Err(error) => {
@@ -67,11 +75,26 @@ pub(super) fn run(extent: &Extent, args: &BenchArgs) -> anyhow::Result<()> {
         }
     };
     println!("\non {}", gpu.description());
+    if shades {
+        let mut csv = String::from(
+            "course,depth_first,repeats,frustum_ms,optimum_ms,chc_plus_ms,difference_ms\n",
+        );
+        let course = (SceneKind::City, CameraPath::Walk);
+        shading::run(&gpu, extent, course, &mut csv)?;
+        write_file(&args.output.join("culling-shading.csv"), &csv)?;
+    }
+    if !races {
+        return Ok(());
+    }
     let mut csv = String::from(
         "course,method,frames,queries,rounds,waits,objects,triangles,wrong_pixels,frame_ms,\
          median_ratio,total_ratio\n",
     );
     for (kind, path) in COURSES {
+        let name = format!("{}-{}", kind.name(), path.name());
+        if !args.culling_course.is_empty() && !args.culling_course.contains(&name) {
+            continue;
+        }
         course(&gpu, extent, kind, path, &mut csv)?;
     }
     write_file(&args.output.join("culling-device.csv"), &csv)
@@ -146,7 +169,7 @@ impl Tried {
         gpu.wait()?;
         let frame_ms = 1e3 * start.elapsed().as_secs_f64();
         let counters = stats.culling.unwrap_or_default();
-        self.frames.push(Frame {
+        let frame = Frame {
             frame_ms,
             triangles: stats.triangles_drawn,
             objects: stats.objects_drawn,
@@ -154,7 +177,15 @@ impl Tried {
             rounds: counters.rounds,
             waits: counters.blocking_waits,
             wrong_pixels: 0,
-        });
+        };
+        if self.settings.culling == Algorithm::TwoPass
+            && let Some(last) = self.frames.last_mut()
+        {
+            // Its counts are those of the frame before, since the device was idle in between.
+            let Frame { frame_ms, wrong_pixels, .. } = *last;
+            *last = Frame { frame_ms, wrong_pixels, ..frame };
+        }
+        self.frames.push(frame);
         Ok(())
     }
 

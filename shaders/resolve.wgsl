@@ -35,6 +35,13 @@ fn resolve(@builtin(position) position: vec4<f32>) -> Resolved {
     return Resolved(color_of(pixel), depth);
 }
 
+// For targets that hold depth of other things too; of each pixel the nearest stays.
+@fragment
+fn resolve_depth(@builtin(position) position: vec4<f32>) -> @builtin(frag_depth) f32 {
+    let pixel = pixel_at(position);
+    return select(frame.near / bitcast<f32>(~pixel.y), 0.0, pixel.y == 0u);
+}
+
 @fragment
 fn resolve_color(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
     return color_of(pixel_at(position));

@@ -95,7 +95,7 @@ fn texels_are_the_farthest_depths_of_what_they_cover() {
     for (width, height) in sizes {
         let targets = scattered(&gpu, width, height);
         let picture = depths(&gpu, &targets);
-        assert!(pyramid.prepare(&gpu, &targets).unwrap());
+        assert!(pyramid.prepare(&gpu, targets.depth_view(), targets.size_px()).unwrap());
         let mut encoder = gpu.device().create_command_encoder(&Default::default());
         let dispatches = pyramid
             .record(&mut encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default()));

@@ -9,7 +9,7 @@ use crate::frame::device::{Device, GpuPass};
 use crate::frame::{FrameSettings, InFrameCheckpoint, Renderer};
 use crate::geometry::View;
 use crate::passes::CheckpointPlan;
-use crate::select::{Availability, CutSettings};
+use crate::select::CutSettings;
 
 /// Fewest points for which a decision is worth its pass.
 const FEWEST_POINTS: u64 = 20_000;
@@ -37,15 +37,7 @@ impl Renderer {
         }
         let cut = CutSettings { point_budget: (COARSER * points as f64) as u64, ..settings.cut };
         let mut scratch = std::mem::take(&mut self.scratch);
-        let cuts = self.select(view, &cut, &mut scratch, |node| {
-            if self.failed.contains(&node) {
-                Availability::Failed
-            } else if self.cache.contains(node) {
-                Availability::Resident
-            } else {
-                Availability::Absent
-            }
-        });
+        let cuts = self.select(view, &cut, &mut scratch, |node| self.availability(node));
         self.scratch = scratch;
         let full = std::mem::take(&mut self.table);
         self.fill_table(&cuts, view, settings);

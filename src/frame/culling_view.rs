@@ -40,6 +40,12 @@ impl Renderer {
         if let Some(frozen) = &self.frozen {
             return frozen.states.clone();
         }
+        #[cfg(feature = "gpu")]
+        if let Some(culling) = &self.culling {
+            let states = culling.culler.states(&culling.tree(&self.sources));
+            self.forget_culling_states();
+            return states;
+        }
         self.models.as_mut().map_or_else(Vec::new, |models| models.states())
     }
 
@@ -54,7 +60,7 @@ impl Renderer {
     /// from now on.
     pub fn freeze_culling(&mut self, view: &View) {
         let states = self.culling_states();
-        let objects = self.models.as_ref().map_or_else(Vec::new, |models| models.drawn());
+        let objects = self.drawn_objects();
         self.frozen = Some(Box::new(Frozen { view: *view, objects, states }));
         self.last = None;
     }
@@ -67,6 +73,15 @@ impl Renderer {
         }
     }
 
+    /// The objects that the last frame drew.
+    fn drawn_objects(&self) -> Vec<ObjectId> {
+        #[cfg(feature = "gpu")]
+        if let Some(culling) = &self.culling {
+            return culling.drawn_objects(&self.sources);
+        }
+        self.models.as_ref().map_or_else(Vec::new, |models| models.visible.clone())
+    }
+
     /// The view that culling is frozen in.
     pub fn frozen_view(&self) -> Option<&View> {
         self.frozen.as_ref().map(|frozen| &frozen.view)
@@ -74,22 +89,7 @@ impl Renderer {
 }
 
 impl Models {
-    /// The objects that the last frame drew.
-    fn drawn(&self) -> Vec<ObjectId> {
-        #[cfg(feature = "gpu")]
-        if let Some(culling) = &self.culling {
-            let leaves = culling.culler.drawn().iter();
-            return leaves.flat_map(|&leaf| culling.tree.objects_of(leaf)).copied().collect();
-        }
-        self.visible.clone()
-    }
-
     fn states(&mut self) -> Vec<NodeStatus> {
-        #[cfg(feature = "gpu")]
-        if let Some(culling) = &self.culling {
-            self.explained = None;
-            return culling.culler.states(&culling.tree);
-        }
         let Some((view, everything)) = self.chosen_for else { return Vec::new() };
         if self.explained.is_none() {
             let culler = Culler::new(Algorithm::Frustum);
@@ -110,7 +110,7 @@ impl Models {
 }
 
 /// Draws nothing.
-struct NoDevice;
+pub(super) struct NoDevice;
 
 impl OcclusionDevice for NoDevice {
     fn begin_frame(&mut self, _: &View) {}

@@ -2,9 +2,11 @@
 
 use std::time::Instant;
 
+#[cfg(feature = "gpu")]
+use crate::frame::culling::draws_by_node;
 use crate::frame::device::Device;
 #[cfg(feature = "gpu")]
-use crate::frame::device::ModelDrawing;
+use crate::frame::device::{ModelDrawing, SceneDrawing};
 #[cfg(feature = "gpu")]
 use crate::frame::node_cache::Storage;
 use crate::frame::node_cache::Words;
@@ -27,7 +29,8 @@ impl Renderer {
         self.begin_appearing(cuts, settings);
         let cache = &self.cache;
         let place_of = |node: SceneNode| {
-            let ready = cache.get(node).expect("drawn nodes are ready");
+            // Concealed nodes need not be.
+            let Some(ready) = cache.get(node) else { return NodePlace::default() };
             match &ready.words {
                 Words::Memory(_) => NodePlace::default(),
                 #[cfg(feature = "gpu")]
@@ -76,7 +79,7 @@ impl Renderer {
     fn begin_appearing(&mut self, cuts: &[Cut], settings: &FrameSettings) {
         let cloud_nodes = |(cloud, cut)| {
             let cut: &Cut = cut;
-            cut.draw.iter().map(move |drawn| (cloud, drawn.node))
+            cut.shown().map(move |drawn| (cloud, drawn.node))
         };
         let drawn = cuts.iter().enumerate().flat_map(cloud_nodes);
         let stands_alone = |(cloud, node): SceneNode| {
@@ -147,20 +150,40 @@ impl Renderer {
                     unreachable!("a renderer on a device stores there")
                 };
                 let is_frozen = self.frozen.is_some();
-                let models = self.models.as_mut().map(|models| ModelDrawing {
+                let models = self.models.as_ref().map(|models| ModelDrawing {
                     model: &models.model,
                     visible: &models.visible,
                     bounds: (!is_frozen).then_some(&models.bounds[..]),
-                    culling: models.culling.as_deref_mut().filter(|_| !is_frozen),
-                    view,
                 });
-                let (counts, meshes) = on_gpu.draw(&frame, &self.table, arena, settings, models)?;
-                if let Some(models) = &self.models
-                    && let Some(culling) = &models.culling
-                {
+                // What is frozen is drawn as it was chosen; nothing is asked.
+                let mut culling = self.culling.as_deref_mut().filter(|_| !is_frozen);
+                let has_points = culling.as_ref().is_some_and(|culling| culling.has_points);
+                let (draws, ready) = match has_points {
+                    true => draws_by_node(&self.table, |node| self.cache.contains(node)),
+                    false => Default::default(),
+                };
+                let (counts, meshes, culled) = on_gpu.draw(SceneDrawing {
+                    view,
+                    frame: &frame,
+                    table: &self.table,
+                    arena,
+                    settings,
+                    models,
+                    culling: culling.as_deref_mut(),
+                    sources: &self.sources,
+                    draw_of: &|cloud, node| draws.get(&(cloud, node)).copied(),
+                    ready: &ready,
+                })?;
+                if let Some(culling) = culling {
                     let counters = self.stats.culling.get_or_insert_default();
                     counters.add(culling.culler.counters());
                     self.stats.culling_costs = culling.meter.stats();
+                    culling.note(&self.sources, culled.as_ref());
+                }
+                if let Some(culled) = &culled {
+                    let draws = || culled.draws.iter().map(|&at| &self.table.draws[at as usize]);
+                    self.stats.points_drawn = draws().map(|draw| self.table.points_of(draw)).sum();
+                    self.stats.nodes_drawn = culled.draws.len() as u32;
                 }
                 if let Some(two_pass) = &on_gpu.two_pass
                     && settings.culling == Algorithm::TwoPass

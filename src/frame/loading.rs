@@ -13,7 +13,7 @@ use crate::frame::device::Device;
 use crate::frame::renderer::milliseconds;
 use crate::frame::{FrameError, FrameSettings, Loading, Renderer};
 use crate::geometry::View;
-use crate::select::{Availability, Cut};
+use crate::select::Cut;
 use crate::stream::{LoadedNode, SceneNode, read_with_retries};
 
 /// Bytes of nodes read at a time, so that what waits for its upload stays bounded.
@@ -86,19 +86,11 @@ impl Renderer {
             self.plan.invalidate();
             std::mem::take(&mut self.plan.cuts)
         } else {
-            self.select(view, &settings.cut, &mut scratch, |node| {
-                if self.failed.contains(&node) {
-                    Availability::Failed
-                } else if self.cache.contains(node) {
-                    Availability::Resident
-                } else {
-                    Availability::Absent
-                }
-            })
+            self.select(view, &settings.cut, &mut scratch, |node| self.availability(node))
         };
         self.scratch = scratch;
         for (cloud, cut) in cuts.iter().enumerate() {
-            cut.draw.iter().for_each(|drawn| self.cache.touch((cloud, drawn.node)));
+            cut.shown().for_each(|drawn| self.cache.touch((cloud, drawn.node)));
         }
         self.note_time("select", milliseconds(start));
         cuts

@@ -13,6 +13,8 @@ mod calibration_cloud;
 mod color;
 mod counted;
 #[cfg(feature = "gpu")]
+mod culling;
+#[cfg(feature = "gpu")]
 mod culling_costs;
 mod culling_view;
 mod device;
@@ -20,6 +22,8 @@ mod drawing;
 mod last_frame;
 mod loading;
 mod models;
+#[cfg(not(feature = "gpu"))]
+mod no_culling;
 mod node_cache;
 mod pacing;
 mod plan;

@@ -8,8 +8,6 @@ use std::sync::Arc;
 
 use glam::DAffine3;
 
-#[cfg(feature = "gpu")]
-use crate::frame::culling_costs::CostMeter;
 use crate::frame::culling_view::Explained;
 use crate::frame::device::Device;
 use crate::frame::{FrameSettings, Renderer};
@@ -18,8 +16,6 @@ use crate::hierarchy::Bvh;
 use crate::ids::ObjectId;
 use crate::mesh::Model;
 use crate::visibility::Algorithm;
-#[cfg(feature = "gpu")]
-use crate::visibility::Culler;
 
 /// The models of a scene.
 pub(super) struct Models {
@@ -32,33 +28,13 @@ pub(super) struct Models {
     pub(super) chosen_for: Option<(View, bool)>,
     /// Made when somebody looks at what the frustum alone culls.
     pub(super) explained: Option<Box<Explained>>,
-    /// What occlusion culling knows; made when it is first asked for.
-    #[cfg(feature = "gpu")]
-    pub(super) culling: Option<Box<ModelCulling>>,
-}
-
-/// The tree over the objects, and what was seen of it.
-#[cfg(feature = "gpu")]
-pub(super) struct ModelCulling {
-    pub(super) tree: Bvh,
-    pub(super) culler: Culler,
-    pub(super) meter: CostMeter,
 }
 
 impl Models {
     fn new(model: Arc<Model>) -> Self {
         let bounds = model.object_bounds();
         let all = bounds.iter().fold(Aabb::EMPTY, |all, one| all.union(one));
-        Models {
-            model,
-            bounds,
-            all,
-            visible: Vec::new(),
-            chosen_for: None,
-            explained: None,
-            #[cfg(feature = "gpu")]
-            culling: None,
-        }
+        Models { model, bounds, all, visible: Vec::new(), chosen_for: None, explained: None }
     }
 
     /// Chooses what is in sight; everything, if that is how it is to be.
@@ -85,29 +61,6 @@ impl Models {
     }
 }
 
-#[cfg(feature = "gpu")]
-impl Models {
-    /// Gets the tree and the memory of occlusion culling ready, or drops them.
-    fn prepare_culling(&mut self, algorithm: &Algorithm, more_follow: bool) {
-        if matches!(algorithm, Algorithm::None | Algorithm::Frustum | Algorithm::TwoPass) {
-            self.culling = None;
-            return;
-        }
-        if let Some(culling) = &mut self.culling {
-            let algorithm = culling.meter.priced(algorithm);
-            culling.culler.set_algorithm(algorithm);
-            culling.culler.set_more_follow(more_follow);
-            return;
-        }
-        let tree = self.tree();
-        self.culling = {
-            let mut culler = Culler::new(*algorithm);
-            culler.set_more_follow(more_follow);
-            Some(Box::new(ModelCulling { tree, culler, meter: CostMeter::default() }))
-        };
-    }
-}
-
 impl Renderer {
     /// Replaces the models of the scene; one without objects is none. The model must be sound by
     /// [`Model::check`].
@@ -115,6 +68,10 @@ impl Renderer {
         self.thaw_culling();
         self.models = (!model.is_empty()).then(|| Box::new(Models::new(model)));
         self.drop_drawn_model();
+        #[cfg(feature = "gpu")]
+        {
+            self.culling = None;
+        }
         self.last = None;
     }
 
@@ -144,8 +101,8 @@ impl Renderer {
         models.bounds[object.index()] = model.bounds_of(object);
         models.explained = None;
         #[cfg(feature = "gpu")]
-        if let Some(culling) = &mut models.culling {
-            culling.tree.refit(&[(object, models.bounds[object.index()])]);
+        if let Some(culling) = &mut self.culling {
+            culling.objects.refit(&[(object, models.bounds[object.index()])]);
         }
         models.all = models.bounds.iter().fold(Aabb::EMPTY, |all, one| all.union(one));
         match &mut self.device {
@@ -182,15 +139,9 @@ impl Renderer {
     /// Chooses the objects of a frame.
     pub(super) fn choose_objects(&mut self, view: &View, settings: &FrameSettings) {
         let Some(models) = &mut self.models else { return };
-        if let Some(frozen) = &self.frozen {
-            models.visible.clone_from(&frozen.objects);
-        } else {
-            models.choose(view, &settings.culling);
-            // The CPU asks nothing.
-            #[cfg(feature = "gpu")]
-            if matches!(self.device, Device::Gpu(_)) {
-                models.prepare_culling(&settings.culling, settings.more_follow);
-            }
+        match &self.frozen {
+            Some(frozen) => models.visible.clone_from(&frozen.objects),
+            None => models.choose(view, &settings.culling),
         }
         self.stats.objects_culled = (models.model.objects.len() - models.visible.len()) as u32;
     }

@@ -350,15 +350,11 @@ impl Renderer {
         areas: &mut Vec<f64>,
     ) -> (Workload, bool) {
         let mut scratch = std::mem::take(&mut self.scratch);
-        let cuts = self.select(view, &settings.cut, &mut scratch, |node| {
-            if self.failed.contains(&node) {
-                Availability::Failed
-            } else if settings.loading == Loading::All || self.cache.contains(node) {
-                Availability::Resident
-            } else {
-                Availability::Absent
-            }
-        });
+        let cuts =
+            self.select(view, &settings.cut, &mut scratch, |node| match self.availability(node) {
+                Availability::Absent if settings.loading == Loading::All => Availability::Resident,
+                other => other,
+            });
         self.scratch = scratch;
         let is_bound = cuts.iter().any(|cut| cut.counters.nodes_over_budget > 0);
         let work = self.scene_workload(&cuts, view, settings, areas);

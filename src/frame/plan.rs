@@ -32,6 +32,7 @@ struct MadeFor {
     cut: CutSettings,
     limit_bytes: u64,
     failed: usize,
+    concealment: u64,
 }
 
 impl Plan {
@@ -49,6 +50,7 @@ impl Renderer {
             cut: *cut,
             limit_bytes: self.cache.room_bytes(self.largest_node_bytes),
             failed: self.failed.len(),
+            concealment: self.concealment(),
         };
         if self.plan.made_for == Some(made_for) {
             return false;
@@ -72,10 +74,28 @@ impl Renderer {
         cut: &CutSettings,
         scratch: &mut CutScratch,
     ) -> Vec<Cut> {
-        self.select(view, cut, scratch, |node| match self.failed.contains(&node) {
-            true => Availability::Failed,
-            false => Availability::Resident,
+        self.select(view, cut, scratch, |node| {
+            if self.failed.contains(&node) {
+                Availability::Failed
+            } else if self.is_concealed(node) {
+                Availability::Concealed
+            } else {
+                Availability::Resident
+            }
         })
+    }
+
+    /// Whether a node can be drawn now.
+    pub(super) fn availability(&self, node: SceneNode) -> Availability {
+        if self.failed.contains(&node) {
+            Availability::Failed
+        } else if self.is_concealed(node) {
+            Availability::Concealed
+        } else if self.cache.contains(node) {
+            Availability::Resident
+        } else {
+            Availability::Absent
+        }
     }
 
     /// Chooses what to draw, given what is there.
@@ -120,7 +140,7 @@ impl Renderer {
         let mut all: Vec<(f64, u32, SceneNode)> = Vec::new();
         for (cloud, cut) in cuts.iter().enumerate() {
             let octree = self.sources[cloud].octree();
-            all.extend(cut.draw.iter().map(|drawn| {
+            all.extend(cut.shown().map(|drawn| {
                 (drawn.priority_px, octree.node(drawn.node).depth, (cloud, drawn.node))
             }));
         }

@@ -5,6 +5,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::frame::appearance::Appearance;
+#[cfg(feature = "gpu")]
+use crate::frame::culling::SceneCulling;
 use crate::frame::culling_view::Frozen;
 use crate::frame::device::Device;
 #[cfg(feature = "gpu")]
@@ -16,7 +18,9 @@ use crate::frame::plan::Plan;
 use crate::frame::scene_reader::{Former, SceneReader};
 use crate::frame::settings::check_view;
 use crate::frame::streaming::Streaming;
-use crate::frame::{FrameError, FrameSettings, FrameStats, NodeSource, PassTime, RasterPath};
+use crate::frame::{
+    FrameError, FrameSettings, FrameStats, Loading, NodeSource, PassTime, RasterPath,
+};
 use crate::geometry::{Aabb, View};
 #[cfg(feature = "gpu")]
 use crate::gpu::{Gpu, PassTimer, WordArena, shader::PixelAtomics};
@@ -35,6 +39,9 @@ pub struct Renderer {
     pub(super) models: Option<Box<Models>>,
     /// Only while what is drawn stays as it was for another view.
     pub(super) frozen: Option<Box<Frozen>>,
+    /// What occlusion culling knows; only while it is asked for.
+    #[cfg(feature = "gpu")]
+    pub(super) culling: Option<Box<SceneCulling>>,
     /// Bytes that all nodes of the scene have when they are ready.
     pub(super) scene_bytes: u64,
     /// The most that one of them has.
@@ -65,6 +72,8 @@ pub struct Renderer {
     /// Only while frames have a target time.
     pub(super) pacer: Option<Box<Pacer>>,
 }
+/// Times that a frame is drawn until it shows all that came into sight.
+const MOST_TRIES: u32 = 8;
 /// Problems that are kept in words.
 const MAX_PROBLEMS: usize = 8;
 
@@ -116,6 +125,7 @@ impl Renderer {
             meshes: None,
             occlusion: None,
             two_pass: None,
+            culled_depth: None,
             has_depth: false,
             shading_repeats: 1,
         }));
@@ -128,6 +138,8 @@ impl Renderer {
             sources: Vec::new(),
             models: None,
             frozen: None,
+            #[cfg(feature = "gpu")]
+            culling: None,
             scene_bytes: 0,
             largest_node_bytes: 0,
             reader: None,
@@ -175,6 +187,10 @@ impl Renderer {
         self.largest_node_bytes = self.all_node_bytes().max().unwrap_or(0);
         self.reader = None;
         self.former = None;
+        #[cfg(feature = "gpu")]
+        {
+            self.culling = None;
+        }
         self.plan.invalidate();
         self.no_room.clear();
         self.streaming.stop();
@@ -239,8 +255,14 @@ impl Renderer {
             self.collect_gpu_times();
             return Ok(&self.stats);
         }
-        while let Err(error) = self.try_frame(view, settings) {
-            self.shrink_for(error)?;
+        for _ in 0..MOST_TRIES {
+            while let Err(error) = self.try_frame(view, settings) {
+                self.shrink_for(error)?;
+            }
+            // What came into sight is read and drawn in this call, if all shall be.
+            if settings.loading != Loading::All || self.nodes_left_out() == 0 {
+                break;
+            }
         }
         self.stats.frame_ms = milliseconds(start);
         let is_final = self.stats.complete && self.stats.nodes_appearing == 0;
@@ -276,6 +298,7 @@ impl Renderer {
     }
 
     fn try_frame(&mut self, view: &View, settings: &FrameSettings) -> Result<(), FrameError> {
+        self.begin_culling(view, settings);
         let paced = self.pace(view, settings, true)?;
         let drawing = Instant::now();
         if self.prepare(view, settings, paced.as_ref().unwrap_or(settings))? {
@@ -285,6 +308,7 @@ impl Renderer {
         } else {
             self.collect_gpu_times();
         }
+        self.stats.complete = self.stats.nodes_requested == 0 && !self.is_culling_unsettled();
         Ok(())
     }
 
@@ -293,6 +317,7 @@ impl Renderer {
         view: &View,
         settings: &FrameSettings,
     ) -> Result<Picture, FrameError> {
+        self.begin_culling(view, settings);
         let paced = self.pace(view, settings, false)?;
         let drawing = Instant::now();
         self.prepare(view, settings, paced.as_ref().unwrap_or(settings))?;
@@ -360,7 +385,7 @@ impl Renderer {
         self.stats = FrameStats::default();
         self.cache.begin_frame();
         let chosen = self.frozen_view().copied().unwrap_or(*view);
-        let changed = self.load(&chosen, settings)?;
+        let changed = self.load(&chosen, settings)? || self.is_culling_unsettled();
         let budget = settings.cut.point_budget;
         let is_other = std::mem::replace(&mut self.drawn_budget, budget) != budget
             || !matches!(&self.last, Some((last_view, last_settings, _))
@@ -370,7 +395,10 @@ impl Renderer {
             self.predict(&cuts, view, settings);
             self.fill_table(&cuts, view, settings);
             #[cfg(feature = "gpu")]
-            self.add_alternative(view, settings);
+            match self.culling.as_ref().is_some_and(|culling| culling.has_points) {
+                true => self.choose_nodes(&cuts, view, settings),
+                false => self.add_alternative(view, settings),
+            }
             self.choose_objects(view, settings);
             self.note_cuts(&cuts);
             cuts.into_iter().for_each(|cut| self.scratch.recycle(cut));
@@ -393,12 +421,18 @@ impl Renderer {
         self.stats.points_drawn = self.table.points;
         self.stats.splat_pixels = self.table.splat_pixels;
         self.stats.point_bytes = self.table.point_bytes;
-        self.stats.nodes_drawn = self.table.draws.len() as u32;
+        self.stats.nodes_drawn = self.table.draws.iter().filter(|d| !d.concealed).count() as u32;
         let counters = || cuts.iter().map(|cut| &cut.counters);
         self.stats.queue_pops = counters().map(|c| c.queue_pops).sum();
         self.stats.nodes_culled = counters().map(|c| c.nodes_culled).sum();
         self.stats.nodes_fine_enough = counters().map(|c| c.nodes_fine_enough).sum();
         self.stats.nodes_over_budget = counters().map(|c| c.nodes_over_budget).sum();
+        self.stats.nodes_hidden = counters().map(|c| c.nodes_concealed).sum();
+        self.stats.points_hidden = counters().map(|c| c.points_concealed).sum();
+        #[cfg(feature = "gpu")]
+        if let Some(culling) = &mut self.culling {
+            culling.budget_binds = self.stats.nodes_over_budget > 0;
+        }
     }
 
     /// Bytes that each node of the scene has when it is ready.

@@ -59,6 +59,10 @@ pub struct FrameStats {
     pub nodes_without_room: u32,
     /// Nodes left out because they are out of sight.
     pub nodes_culled: u32,
+    /// Nodes left out because they stand behind other things.
+    pub nodes_hidden: u32,
+    /// Points that these would have added.
+    pub points_hidden: u64,
     /// Nodes left out because what is drawn there is fine enough.
     pub nodes_fine_enough: u32,
     /// Nodes wanted that the budget left out (those known when the walk ended).

@@ -34,7 +34,7 @@ pub(super) struct Streaming {
     frames: u32,
     scratch: CutScratch,
     ahead: Vec<SceneNode>,
-    ahead_made_for: Option<(View, CutSettings, usize)>,
+    ahead_made_for: Option<(View, CutSettings, usize, u64)>,
 }
 
 impl Default for Streaming {
@@ -240,7 +240,7 @@ impl Renderer {
         let mut cut = settings.cut;
         cut.error_px *= AHEAD_ERROR;
         cut.point_budget = cut.point_budget.saturating_add(cut.point_budget / 4);
-        let made_for = (there, cut, self.failed.len());
+        let made_for = (there, cut, self.failed.len(), self.concealment());
         if self.streaming.ahead_made_for != Some(made_for) {
             let mut scratch = std::mem::take(&mut self.streaming.scratch);
             let cuts = self.ideal_cuts(&there, &cut, &mut scratch);

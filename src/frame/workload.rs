@@ -60,10 +60,13 @@ pub(super) fn workload(
             false => own,
         };
         areas[index] = area;
+        if drawn.concealed {
+            continue;
+        }
         points += f64::from(drawn.count);
         pixels += f64::from(drawn.count) * area;
     }
-    Workload::points(cut.table.len() as f64, points, pixels)
+    Workload::points(cut.shown().count() as f64, points, pixels)
 }
 
 struct Eye<'a> {

@@ -139,6 +139,14 @@ impl<A: BoundingHierarchy, B: BoundingHierarchy> BoundingHierarchy for Joined<A,
         }
     }
 
+    fn keeps_whole(&self, node: TreeNodeId) -> bool {
+        match self.side(node) {
+            Side::Root => false,
+            Side::First(node) => self.first.keeps_whole(node),
+            Side::Second(node) => self.second.keeps_whole(node),
+        }
+    }
+
     fn always_drawn(&self) -> impl Iterator<Item = TreeNodeId> {
         self.first
             .always_drawn()

@@ -2,16 +2,18 @@
 //!
 //! [`BoundingHierarchy`] is all that culling knows of a scene. [`Bvh`] is the tree over objects,
 //! built by the surface area heuristic and refitted when objects move; [`Joined`] puts two
-//! hierarchies under one root; [`tight_cut`] replaces a box by smaller ones around the same content.
+//! hierarchies under one root; [`Forest`] is what culling sees of octrees; [`tight_cut`] replaces a box by smaller ones around the same content.
 //!
 //! Boxes are f64 in the world. Not here: which nodes are visible (`visibility`).
 
 mod build;
 mod bvh;
+mod forest;
 mod joined;
 mod tight;
 
 pub use bvh::Bvh;
+pub use forest::{ChosenNodes, Forest, ForestTree, SubtreeBoxes};
 pub use joined::{Joined, Side};
 pub use tight::{TightCut, TightForm, tight_cut};
 
@@ -58,9 +60,58 @@ pub trait BoundingHierarchy {
         0
     }
 
+    /// Whether the boxes of the children are not to stand for the node's: they are hardly smaller,
+    /// or not the same in each frame.
+    fn keeps_whole(&self, node: TreeNodeId) -> bool {
+        let _ = node;
+        false
+    }
+
     /// Leaves outside the tree that are drawn in every frame, because no box is known for them.
     fn always_drawn(&self) -> impl Iterator<Item = TreeNodeId> {
         std::iter::empty()
+    }
+}
+
+impl<T: BoundingHierarchy> BoundingHierarchy for &T {
+    fn root(&self) -> Option<TreeNodeId> {
+        (**self).root()
+    }
+
+    fn node_limit(&self) -> usize {
+        (**self).node_limit()
+    }
+
+    fn parent(&self, node: TreeNodeId) -> Option<TreeNodeId> {
+        (**self).parent(node)
+    }
+
+    fn children(&self, node: TreeNodeId) -> impl Iterator<Item = TreeNodeId> {
+        (**self).children(node)
+    }
+
+    fn is_leaf(&self, node: TreeNodeId) -> bool {
+        (**self).is_leaf(node)
+    }
+
+    fn bounds(&self, node: TreeNodeId) -> Aabb {
+        (**self).bounds(node)
+    }
+
+    fn cost(&self, node: TreeNodeId) -> u64 {
+        (**self).cost(node)
+    }
+
+    fn overhang_px(&self, node: TreeNodeId) -> f64 {
+        (**self).overhang_px(node)
+    }
+
+    fn keeps_whole(&self, node: TreeNodeId) -> bool {
+        (**self).keeps_whole(node)
+    }
+
+    fn always_drawn(&self) -> impl Iterator<Item = TreeNodeId> {
+        (**self).always_drawn()
     }
 }
 

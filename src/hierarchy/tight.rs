@@ -59,7 +59,8 @@ pub fn tight_cut<H: BoundingHierarchy>(
     let mut total = own;
     loop {
         let refinable = |&(member, depth): &(TreeNodeId, u32)| {
-            if depth >= limits.depth || area(member) <= flat || tree.is_leaf(member) {
+            let is_whole = tree.is_leaf(member) || tree.keeps_whole(member);
+            if depth >= limits.depth || area(member) <= flat || is_whole {
                 return None;
             }
             let after = children_area(member);

@@ -6,7 +6,6 @@
 
 use crate::gpu::layout::GpuPyramid;
 use crate::gpu::{Gpu, GpuError, GrowingBuffer, read_buffer, shader};
-use crate::passes::Targets;
 use crate::passes::bindings::{bind, compute_pipeline, part, pipeline_layout};
 
 /// Levels that one dispatch makes.
@@ -70,14 +69,18 @@ impl DepthPyramid {
         &self.test_layout
     }
 
-    /// Gets ready for a picture's depth; `false` if it has none. Costs nothing while it stays the
-    /// same.
-    pub fn prepare(&mut self, gpu: &Gpu, depths: &Targets) -> Result<bool, GpuError> {
-        let Some(depth) = depths.depth_view() else { return Ok(false) };
+    /// Gets ready for a picture's depth of that width and height; `false` if it has none. Costs
+    /// nothing while it stays the same.
+    pub fn prepare(
+        &mut self,
+        gpu: &Gpu,
+        depth: Option<&wgpu::TextureView>,
+        (width_px, height_px): (u32, u32),
+    ) -> Result<bool, GpuError> {
+        let Some(depth) = depth else { return Ok(false) };
         if self.bound.as_ref().is_some_and(|bound| bound.depth == *depth) {
             return Ok(true);
         }
-        let (width_px, height_px) = depths.size_px();
         self.shape = GpuPyramid::over(width_px, height_px);
         let bytes = 4 * u64::from(self.shape.texel_count().max(1));
         self.described.write(gpu, &[self.shape])?;

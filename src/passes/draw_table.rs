@@ -40,7 +40,7 @@ pub struct CloudDraw<'a> {
 }
 
 /// One draw: leading points of one node.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DrawnNode {
     /// Row of the node in [`DrawTable::nodes`].
     pub slot: u32,
@@ -52,12 +52,16 @@ pub struct DrawnNode {
     pub count: u32,
     /// Buffer of its words.
     pub shard: usize,
+    /// No splat of the node is larger, pixels, before it is rounded up.
+    pub largest_px: f32,
     /// Whether no splat of the node can exceed one pixel.
     pub single_pixels: bool,
     /// Whether only a share of the points is drawn.
     pub partly: bool,
     /// Which of the frame's alternatives it belongs to.
     pub part: DrawPart,
+    /// Whether it is drawn only if culling finds that it shows.
+    pub concealed: bool,
 }
 
 /// All drawn nodes of a scene. Lists are kept for the next frame's use.
@@ -67,7 +71,7 @@ pub struct DrawTable {
     pub nodes: Vec<GpuNode>,
     /// In drawing order.
     pub draws: Vec<DrawnNode>,
-    /// Points drawn.
+    /// Points drawn, but for concealed ones; those are not counted below either.
     pub points: u64,
     /// About how many pixels the splats have together, hidden ones included: each node's at the
     /// depth of its middle.
@@ -116,26 +120,39 @@ impl DrawTable {
             self.add_cloud(index, cloud, view, splat);
         }
         let points = |draw: &DrawnNode| Shown::points_of(&self.nodes[draw.slot as usize]);
-        self.points = self.draws.iter().map(points).sum();
+        let shown = || self.draws.iter().filter(|draw| !draw.concealed);
+        self.points = shown().map(points).sum();
         let bytes = |draw: &DrawnNode| {
             let local_bits = self.nodes[draw.slot as usize].local_bits;
             points(draw) * 4 * u64::from(position_words(local_bits) + 1)
         };
-        self.point_bytes = self.draws.iter().map(bytes).sum();
+        self.point_bytes = shown().map(bytes).sum();
     }
 
     /// Cuts the draws into batches of at most `batch_points`, kind by kind; the start of each kind
-    /// is a multiple of `align`.
+    /// is a multiple of `align`. Concealed ones are left out.
     pub fn batches(&self, batch_points: u32, align: usize, batches: &mut Batches) {
+        let shown: Vec<&DrawnNode> = self.draws.iter().filter(|draw| !draw.concealed).collect();
+        self.batches_of(&shown, batch_points, align, batches);
+    }
+
+    /// As [`batches`](Self::batches), of some of the draws.
+    pub fn batches_of(
+        &self,
+        draws: &[&DrawnNode],
+        batch_points: u32,
+        align: usize,
+        batches: &mut Batches,
+    ) {
         batches.list.clear();
         batches.groups.clear();
-        let mut kinds: Vec<BatchKind> = self.draws.iter().map(|draw| self.kind(draw)).collect();
+        let mut kinds: Vec<BatchKind> = draws.iter().map(|draw| self.kind(draw)).collect();
         kinds.sort_unstable();
         kinds.dedup();
         for kind in kinds {
             let start = batches.list.len().next_multiple_of(align);
             batches.list.resize(start, GpuBatch { node_slot: 0, first_point: 0, end_point: 0 });
-            for draw in self.draws.iter().filter(|draw| self.kind(draw) == kind) {
+            for draw in draws.iter().filter(|draw| self.kind(draw) == kind) {
                 let starts = (0..draw.count).step_by(batch_points as usize);
                 batches.list.extend(starts.map(|first_point| GpuBatch {
                     node_slot: draw.slot,
@@ -145,6 +162,11 @@ impl DrawTable {
             }
             batches.groups.push((kind, start..batches.list.len()));
         }
+    }
+
+    /// Points that a draw adds to the picture, hidden ones included.
+    pub fn points_of(&self, draw: &DrawnNode) -> u64 {
+        Shown::points_of(&self.nodes[draw.slot as usize])
     }
 
     /// What one pipeline must know to draw a node.
@@ -169,9 +191,11 @@ impl DrawTable {
             node: drawn.node,
             count: drawn.count,
             shard: 0,
+            largest_px: 1.0,
             single_pixels: false,
             partly: false,
             part: DrawPart::Always,
+            concealed: drawn.concealed,
         }));
         let mut coarsest_edges = vec![f64::INFINITY; cloud.cut.table.len()];
         for ((index, row), slot) in cloud.cut.table.iter().enumerate().zip(base..) {
@@ -242,7 +266,10 @@ impl DrawTable {
             let typical_px = fixed_px
                 .unwrap_or_else(|| (splat_px_m / middle.max(view.camera.near)).min(largest_px))
                 .max(1.0);
-            self.splat_pixels += (f64::from(shown.places()) * typical_px * typical_px) as u64;
+            draw.largest_px = largest_here_px as f32;
+            if !draw.concealed {
+                self.splat_pixels += (f64::from(shown.places()) * typical_px * typical_px) as u64;
+            }
         }
         // Children stand after their parents, so going backwards finds them done. Below a cell
         // whose splats are all single pixels there is nothing to look up.

@@ -28,6 +28,8 @@ mod bindings;
 #[cfg(feature = "gpu")]
 mod checkpoint;
 #[cfg(feature = "gpu")]
+mod culled_scene;
+#[cfg(feature = "gpu")]
 mod depth_pyramid;
 #[cfg(feature = "gpu")]
 mod finish;
@@ -45,6 +47,8 @@ mod points_bare;
 mod points_compute;
 #[cfg(feature = "gpu")]
 mod points_raster;
+#[cfg(feature = "gpu")]
+mod points_rounds;
 #[cfg(feature = "gpu")]
 mod pyramid_answers;
 #[cfg(feature = "gpu")]
@@ -98,13 +102,17 @@ pub struct DrawCounts {
 #[cfg(feature = "gpu")]
 pub use checkpoint::{Checkpoint, Decision};
 #[cfg(feature = "gpu")]
+pub use culled_scene::{
+    CulledDraws, CulledOutput, CulledPoints, CulledRecording, CulledScene, SceneTree,
+};
+#[cfg(feature = "gpu")]
 pub use depth_pyramid::DepthPyramid;
 #[cfg(feature = "gpu")]
 pub use finish::Finish;
 #[cfg(feature = "gpu")]
 pub use meshes::{MeshColor, MeshList, MeshOutput, Meshes};
 #[cfg(feature = "gpu")]
-pub use occlusion::{CulledMeshes, OcclusionQueries};
+pub use occlusion::OcclusionQueries;
 #[cfg(feature = "gpu")]
 pub use points_bare::PointsBare;
 #[cfg(feature = "gpu")]
@@ -114,6 +122,6 @@ pub use points_raster::PointsRaster;
 #[cfg(feature = "gpu")]
 pub use pyramid_answers::PyramidAnswers;
 #[cfg(feature = "gpu")]
-pub use targets::Targets;
+pub use targets::{DepthTarget, Targets};
 #[cfg(feature = "gpu")]
 pub use two_pass::{TwoPass, TwoPassCounts, TwoPassDrawing};

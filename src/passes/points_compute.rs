@@ -10,47 +10,50 @@ use std::ops::Range;
 
 use crate::gpu::layout::{GpuBatch, GpuDispatch, GpuFrame, SQUARE, WORKGROUP_SIZE};
 use crate::gpu::shader::{self, PixelAtomics};
-use crate::gpu::{Gpu, GpuError, GrowingBuffer, PassTimer, read_buffer};
+use crate::gpu::{Gpu, GpuError, GrowingBuffer, PassTimer, WordArena, read_buffer};
 use crate::passes::bindings::{
     bind, compute_pipeline, covering_pipeline, layout, part, pipeline_layout, whole,
 };
 use crate::passes::grow::Grow;
 use crate::passes::{
-    BatchKind, Batches, Checkpoint, CheckpointPlan, Decision, DrawCounts, DrawPart, PointDrawing,
+    BatchKind, Batches, Checkpoint, CheckpointPlan, Decision, DrawCounts, DrawPart, DrawTable,
+    PointDrawing,
 };
 
 /// The pass, its pipelines and its tables.
 #[derive(Debug)]
 pub struct PointsCompute {
-    atomics: PixelAtomics,
-    shader: wgpu::ShaderModule,
-    draw_layout: wgpu::PipelineLayout,
+    pub(super) atomics: PixelAtomics,
+    pub(super) shader: wgpu::ShaderModule,
+    pub(super) draw_layout: wgpu::PipelineLayout,
     /// Those that were needed so far.
-    pipelines: Vec<(Variant, wgpu::ComputePipeline)>,
-    batch_points: u32,
-    lane_group: u32,
-    is_software: bool,
-    early_out: EarlyOut,
+    pub(super) pipelines: Vec<(Variant, wgpu::ComputePipeline)>,
+    pub(super) batch_points: u32,
+    pub(super) lane_group: u32,
+    pub(super) is_software: bool,
+    pub(super) early_out: EarlyOut,
     /// Without depth, with it.
-    resolve: [wgpu::RenderPipeline; 2],
-    grow: Option<Grow>,
-    checkpoint: Option<Checkpoint>,
-    frame_layout: wgpu::BindGroupLayout,
-    scene_layout: wgpu::BindGroupLayout,
-    draw_pixels_layout: wgpu::BindGroupLayout,
-    resolve_pixels_layout: wgpu::BindGroupLayout,
-    frame: GrowingBuffer,
-    nodes: GrowingBuffer,
-    batches: GrowingBuffer,
-    pixels: GrowingBuffer,
-    batch_list: Batches,
-    target_px: [u32; 2],
-    grew: bool,
+    pub(super) resolve: [wgpu::RenderPipeline; 2],
+    pub(super) grow: Option<Grow>,
+    /// Only once points were drawn in rounds.
+    pub(super) depth_resolve: Option<wgpu::RenderPipeline>,
+    pub(super) checkpoint: Option<Checkpoint>,
+    pub(super) frame_layout: wgpu::BindGroupLayout,
+    pub(super) scene_layout: wgpu::BindGroupLayout,
+    pub(super) draw_pixels_layout: wgpu::BindGroupLayout,
+    pub(super) resolve_pixels_layout: wgpu::BindGroupLayout,
+    pub(super) frame: GrowingBuffer,
+    pub(super) nodes: GrowingBuffer,
+    pub(super) batches: GrowingBuffer,
+    pub(super) pixels: GrowingBuffer,
+    pub(super) batch_list: Batches,
+    pub(super) target_px: [u32; 2],
+    pub(super) grew: bool,
 }
 
 /// What a pipeline is made for, so that its points pay for nothing else.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Variant {
+pub(super) struct Variant {
     wide: bool,
     single_pixels: bool,
     partly: bool,
@@ -61,9 +64,9 @@ struct Variant {
 
 /// What all batches of a frame have in common that pipelines are made for.
 #[derive(Clone, Copy)]
-struct FrameKind {
-    shape: u32,
-    looks_first: bool,
+pub(super) struct FrameKind {
+    pub(super) shape: u32,
+    pub(super) looks_first: bool,
 }
 
 /// Whether points look what is nearest at their pixel before they go to the atomic operation.
@@ -89,9 +92,9 @@ const SOFTWARE_LANE_GROUP: u32 = 8;
 /// Splat pixels per pixel of the target from which on looking first pays on software adapters;
 /// measured, see `docs/measurements/drawing.md`.
 const SOFTWARE_LOOK_FROM: f64 = 12.0;
-const BATCH_BYTES: u64 = size_of::<GpuBatch>() as u64;
+pub(super) const BATCH_BYTES: u64 = size_of::<GpuBatch>() as u64;
 /// Bytes of a pixel, however its atomics are held.
-const PIXEL_BYTES: u64 = 8;
+pub(super) const PIXEL_BYTES: u64 = 8;
 
 impl PointsCompute {
     /// Compiles the pass; the device must have the atomics.
@@ -138,6 +141,7 @@ impl PointsCompute {
                 early_out,
                 resolve,
                 grow: None,
+                depth_resolve: None,
                 checkpoint: None,
                 frame_layout,
                 scene_layout,
@@ -212,10 +216,12 @@ impl PointsCompute {
         // Two frames, each at an offset that every adapter allows.
         let spaced: Vec<u8> =
             frames.iter().flat_map(|frame| padded_to_256(bytemuck::bytes_of(frame))).collect();
-        let frame_buffer = self.frame.write(gpu, &spaced)?;
-        let nodes = self.nodes.write(gpu, &table.nodes)?;
-        let batches = self.batches.write(gpu, &self.batch_list.list)?;
-        let pixels = self.pixels.reserve(gpu, bytes_of(&frames[1]))?;
+        self.frame.write(gpu, &spaced)?;
+        let frame_buffer = self.frame.get().expect("it was just written");
+        self.nodes.write(gpu, &table.nodes)?;
+        self.batches.write(gpu, &self.batch_list.list)?;
+        self.pixels.reserve(gpu, bytes_of(&frames[1]))?;
+        let pixels = self.pixels.get().expect("room was just made");
 
         let frame_bytes = size_of::<GpuFrame>() as u64;
         let [frame_group, points_group] = [0, 256].map(|offset| {
@@ -225,24 +231,7 @@ impl PointsCompute {
         let draw_pixels = bind(gpu, &self.draw_pixels_layout, std::slice::from_ref(&drawn));
 
         encoder.clear_buffer(pixels, 0, Some(bytes_of(&frames[1])));
-        let groups = self.batch_list.groups.clone();
-        let node_bytes = size_of_val(&table.nodes[..]) as u64;
-        let mut work: Vec<PointWork> = Vec::with_capacity(groups.len());
-        for (kind, range) in &groups {
-            let first_byte = range.start as u64 * BATCH_BYTES;
-            let bytes = range.len() as u64 * BATCH_BYTES;
-            let buffers = [
-                part(nodes, 0, node_bytes),
-                whole(arena.buffer(kind.shard)),
-                part(batches, first_byte, bytes),
-            ];
-            let row = (range.len() as u32).min(MAX_WORKGROUPS_PER_ROW);
-            work.push(PointWork {
-                kind: *kind,
-                scene: bind(gpu, &self.scene_layout, &buffers),
-                workgroups: [row, (range.len() as u32).div_ceil(row)],
-            });
-        }
+        let work = self.bind_work(gpu, nodes_bytes(table), arena)?;
         let bound = PointBindings { frame: &points_group, pixels: &draw_pixels };
         let (always, rest): (Vec<_>, Vec<_>) =
             work.iter().partition(|work| work.kind.part == DrawPart::Always);
@@ -311,22 +300,60 @@ impl PointsCompute {
                 part(grow.pixels().expect("it just drew"), 0, bytes_of(&frames[0]))
             }
         };
-        let resolve_pixels = bind(gpu, &self.resolve_pixels_layout, &[resolved]);
-        let (color, depth) = targets.cleared(frame.background);
-        let depth = depth.filter(|_| drawing.wants_depth);
+        let resolved = bind(gpu, &self.resolve_pixels_layout, &[resolved]);
+        self.resolve_into(encoder, timer, drawing, &frame_group, &resolved);
+        Ok(DrawCounts { dispatches, draw_calls: 1, uploaded_bytes })
+    }
+
+    /// Binds what each group of batches reads: the tables as they were written, and its words.
+    pub(super) fn bind_work(
+        &self,
+        gpu: &Gpu,
+        node_bytes: u64,
+        arena: &WordArena,
+    ) -> Result<Vec<PointWork>, GpuError> {
+        let (Some(nodes), Some(batches)) = (self.nodes.get(), self.batches.get()) else {
+            return Ok(Vec::new());
+        };
+        let work = |(kind, range): &(BatchKind, Range<usize>)| {
+            let first_byte = range.start as u64 * BATCH_BYTES;
+            let bytes = range.len() as u64 * BATCH_BYTES;
+            let buffers = [
+                part(nodes, 0, node_bytes),
+                whole(arena.buffer(kind.shard)),
+                part(batches, first_byte, bytes),
+            ];
+            let row = (range.len() as u32).min(MAX_WORKGROUPS_PER_ROW);
+            PointWork {
+                kind: *kind,
+                scene: bind(gpu, &self.scene_layout, &buffers),
+                workgroups: [row, (range.len() as u32).div_ceil(row)],
+            }
+        };
+        Ok(self.batch_list.groups.iter().map(work).collect())
+    }
+
+    /// Turns pixels into colours, and depth where it is wanted.
+    pub(super) fn resolve_into(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        timer: &mut PassTimer,
+        drawing: &PointDrawing,
+        frame: &wgpu::BindGroup,
+        pixels: &wgpu::BindGroup,
+    ) {
+        let (color, depth) = drawing.targets.cleared(drawing.frame.background);
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("resolve"),
             color_attachments: &[Some(color)],
-            depth_stencil_attachment: depth,
+            depth_stencil_attachment: depth.filter(|_| drawing.wants_depth),
             timestamp_writes: timer.render_pass("resolve"),
             ..Default::default()
         });
         pass.set_pipeline(&self.resolve[usize::from(drawing.wants_depth)]);
-        pass.set_bind_group(0, &frame_group, &[]);
-        pass.set_bind_group(2, &resolve_pixels, &[]);
+        pass.set_bind_group(0, frame, &[]);
+        pass.set_bind_group(2, pixels, &[]);
         pass.draw(0..3, 0..1);
-        drop(pass);
-        Ok(DrawCounts { dispatches, draw_calls: 1, uploaded_bytes })
     }
 
     /// Distances of whole rows of the last target drawn, infinite where nothing is. Waits for the
@@ -360,7 +387,7 @@ impl PointsCompute {
             + self.grow.as_ref().map_or(0, Grow::held_bytes)
     }
 
-    fn looks_first(&self, drawing: &PointDrawing, margin_px: u32) -> bool {
+    pub(super) fn looks_first(&self, drawing: &PointDrawing, margin_px: u32) -> bool {
         match self.early_out {
             EarlyOut::Always => true,
             EarlyOut::Never => false,
@@ -375,7 +402,7 @@ impl PointsCompute {
     }
 
     /// Makes the pipelines that this frame's kinds of batches need and no frame needed before.
-    fn compile(&mut self, gpu: &Gpu, frame: FrameKind) -> Result<(), GpuError> {
+    pub(super) fn compile(&mut self, gpu: &Gpu, frame: FrameKind) -> Result<(), GpuError> {
         for (kind, _) in &self.batch_list.groups {
             for &color_pass in color_passes(self.atomics) {
                 let variant = Variant::of(kind, frame, color_pass);
@@ -404,8 +431,13 @@ impl PointsCompute {
     }
 }
 
+/// Bytes of a table's rows.
+pub(super) fn nodes_bytes(table: &DrawTable) -> u64 {
+    size_of_val(&table.nodes[..]) as u64
+}
+
 /// Adds dispatches, from `arguments` if they were decided on the device; returns their number.
-fn dispatch(
+pub(super) fn dispatch(
     pipelines: &[(Variant, wgpu::ComputePipeline)],
     pass: &mut wgpu::ComputePass,
     work: &[&PointWork],
@@ -426,20 +458,20 @@ fn dispatch(
 }
 
 /// One dispatch.
-struct PointWork {
-    kind: BatchKind,
-    scene: wgpu::BindGroup,
-    workgroups: [u32; 2],
+pub(super) struct PointWork {
+    pub(super) kind: BatchKind,
+    pub(super) scene: wgpu::BindGroup,
+    pub(super) workgroups: [u32; 2],
 }
 
 /// What all dispatches share.
-struct PointBindings<'a> {
-    frame: &'a wgpu::BindGroup,
-    pixels: &'a wgpu::BindGroup,
+pub(super) struct PointBindings<'a> {
+    pub(super) frame: &'a wgpu::BindGroup,
+    pub(super) pixels: &'a wgpu::BindGroup,
 }
 
 impl PointBindings<'_> {
-    fn set(&self, pass: &mut wgpu::ComputePass) {
+    pub(super) fn set(&self, pass: &mut wgpu::ComputePass) {
         pass.set_bind_group(0, self.frame, &[]);
         pass.set_bind_group(2, self.pixels, &[]);
     }
@@ -492,7 +524,7 @@ impl Variant {
 }
 
 /// The passes over all points: whether each is for colours.
-fn color_passes(atomics: PixelAtomics) -> &'static [bool] {
+pub(super) fn color_passes(atomics: PixelAtomics) -> &'static [bool] {
     match atomics {
         PixelAtomics::Narrow => &[false, true],
         _ => &[false],
@@ -500,11 +532,11 @@ fn color_passes(atomics: PixelAtomics) -> &'static [bool] {
 }
 
 /// Bytes, followed by zeros up to the offset that every adapter allows.
-fn padded_to_256(bytes: &[u8]) -> [u8; 256] {
+pub(super) fn padded_to_256(bytes: &[u8]) -> [u8; 256] {
     let mut padded = [0; 256];
     padded[..bytes.len()].copy_from_slice(bytes);
     padded
 }
 
 /// Within the limit that every adapter grants.
-const MAX_WORKGROUPS_PER_ROW: u32 = 32_768;
+pub(super) const MAX_WORKGROUPS_PER_ROW: u32 = 32_768;

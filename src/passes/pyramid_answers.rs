@@ -6,8 +6,8 @@
 
 use crate::gpu::layout::{GpuBox, GpuFrame, WORKGROUP_SIZE};
 use crate::gpu::{Gpu, GpuError, GrowingBuffer, shader};
+use crate::passes::DepthPyramid;
 use crate::passes::bindings::{bind, compute_pipeline, layout, part, pipeline_layout};
-use crate::passes::{DepthPyramid, Targets};
 
 /// Workgroups along one axis of a dispatch.
 pub(super) const MOST_GROUPS: u32 = 65_535;
@@ -69,11 +69,11 @@ impl PyramidAnswers {
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         frame: &GpuFrame,
-        depths: &Targets,
+        (depth, size_px): (Option<&wgpu::TextureView>, (u32, u32)),
         boxes: (&wgpu::Buffer, u32),
         questions: u32,
     ) -> Result<Option<&wgpu::Buffer>, GpuError> {
-        if !self.pyramid.prepare(gpu, depths)? {
+        if !self.pyramid.prepare(gpu, depth, size_px)? {
             return Ok(None);
         }
         let answer_bytes = 4 * u64::from(questions.max(1));

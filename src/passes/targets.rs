@@ -14,6 +14,61 @@ pub struct Targets {
     _bytes: HeldBytes,
 }
 
+/// Reversed-z depth alone.
+#[derive(Debug)]
+pub struct DepthTarget {
+    size_px: [u32; 2],
+    view: wgpu::TextureView,
+    _bytes: HeldBytes,
+}
+
+impl DepthTarget {
+    /// A texture of that size, which the device must allow.
+    pub fn new(gpu: &Gpu, size_px: [u32; 2]) -> Result<Self, GpuError> {
+        let [width, height] = size_px;
+        let held = gpu.hold("hold a depth target", 4 * u64::from(width) * u64::from(height))?;
+        gpu.checked("hold a depth target", || {
+            let texture = gpu.device().create_texture(&wgpu::TextureDescriptor {
+                label: Some("depth"),
+                size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
+                mip_level_count: 1,
+                sample_count: 1,
+                dimension: wgpu::TextureDimension::D2,
+                format: Targets::DEPTH_FORMAT,
+                usage: wgpu::TextureUsages::RENDER_ATTACHMENT
+                    | wgpu::TextureUsages::TEXTURE_BINDING,
+                view_formats: &[],
+            });
+            DepthTarget { size_px, view: texture.create_view(&Default::default()), _bytes: held }
+        })
+    }
+
+    /// Width and height.
+    pub fn size_px(&self) -> [u32; 2] {
+        self.size_px
+    }
+
+    /// To be attached or sampled.
+    pub fn view(&self) -> &wgpu::TextureView {
+        &self.view
+    }
+
+    /// Adds the commands that empty it.
+    pub fn clear(&self, encoder: &mut wgpu::CommandEncoder) {
+        let empty =
+            wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Store };
+        encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some("clear depth"),
+            depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
+                view: &self.view,
+                depth_ops: Some(empty),
+                stencil_ops: None,
+            }),
+            ..Default::default()
+        });
+    }
+}
+
 impl Targets {
     /// Colours are bytes as scans have them, not converted; sampling gives them back unchanged.
     pub const COLOR_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;

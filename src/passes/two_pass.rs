@@ -207,7 +207,9 @@ impl TwoPass {
         self.collect(gpu);
         let (colors, depths) = drawing.targets;
         let draws = meshes.draws_in_view(drawing.visible);
-        if draws.objects.is_empty() || !self.pyramid.prepare(gpu, depths)? {
+        if draws.objects.is_empty()
+            || !self.pyramid.prepare(gpu, depths.depth_view(), depths.size_px())?
+        {
             return Ok((0, 0));
         }
         let tested = self.write_boxes(gpu, drawing, &draws.objects)?;

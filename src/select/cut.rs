@@ -36,6 +36,10 @@ pub enum Availability {
     Absent,
     /// They never will (unreadable): it is neither drawn nor asked for, its children are.
     Failed,
+    /// It and its subtree stand behind other things: it costs nothing of the budget and is not asked
+    /// for. Otherwise it is looked at as if it were drawn, so that what is drawn around it looks as
+    /// if it were.
+    Concealed,
 }
 
 /// What the traversal is told about loading.
@@ -113,6 +117,8 @@ pub struct DrawNode {
     pub share: f32,
     /// Size of its cell on screen, pixels; infinite with the eye inside.
     pub priority_px: f64,
+    /// Whether it is here only for the sake of others: see [`Availability::Concealed`].
+    pub concealed: bool,
 }
 
 /// One node to load.
@@ -145,6 +151,10 @@ pub struct CutCounters {
     pub points_requested: u64,
     /// Nodes that cannot be read.
     pub nodes_failed: u32,
+    /// Nodes that stand behind other things.
+    pub nodes_concealed: u32,
+    /// Points that these would have added.
+    pub points_concealed: u64,
     /// Nodes wanted that the budget left out (those known when the walk ended).
     pub nodes_over_budget: u32,
     /// Nodes taken from the priority queue; 0 if no queue was needed.
@@ -154,7 +164,8 @@ pub struct CutCounters {
 /// The result for one octree.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cut {
-    /// What to draw, by falling priority, or coarse to fine if the whole cloud fits the budget.
+    /// What to draw, by falling priority, or coarse to fine if the whole cloud fits the budget;
+    /// concealed nodes in their places among them.
     pub draw: Vec<DrawNode>,
     /// What to load, by falling priority.
     pub requests: Vec<Request>,
@@ -165,6 +176,11 @@ pub struct Cut {
 }
 
 impl Cut {
+    /// The nodes to draw that are not concealed.
+    pub fn shown(&self) -> impl Iterator<Item = &DrawNode> {
+        self.draw.iter().filter(|drawn| !drawn.concealed)
+    }
+
     fn clear(&mut self) {
         self.draw.clear();
         self.requests.clear();

@@ -364,6 +364,7 @@ mod tests {
                 splat_level: 0,
                 share: 1.0,
                 priority_px: 0.0,
+                concealed: false,
             })
             .collect();
         let requests = requested

@@ -200,6 +200,10 @@ impl Walk<'_> {
             self.cuts[candidate.octree as usize].counters.nodes_failed += 1;
             return Step::Descend { drawn: false };
         }
+        if availability == Availability::Concealed {
+            self.record(candidate, candidate.count, candidate.share, availability);
+            return Step::Descend { drawn: true };
+        }
         if u64::from(candidate.points()) > self.remaining {
             self.cuts[candidate.octree as usize].counters.nodes_over_budget += 1;
             if !candidate.has_drawn_ancestor {
@@ -242,12 +246,25 @@ impl Walk<'_> {
         let (octree, node) = (candidate.octree as usize, candidate.node);
         let cut = &mut self.cuts[octree];
         match availability {
-            Availability::Resident => {
-                cut.counters.nodes_drawn += 1;
-                let drawn = Candidate { count, share, ..*candidate }.points();
-                cut.counters.points_drawn += u64::from(drawn);
+            Availability::Resident | Availability::Concealed => {
+                let points = u64::from(Candidate { count, share, ..*candidate }.points());
+                let concealed = availability == Availability::Concealed;
+                let counters = &mut cut.counters;
+                let (nodes_of, points_of) = match concealed {
+                    true => (&mut counters.nodes_concealed, &mut counters.points_concealed),
+                    false => (&mut counters.nodes_drawn, &mut counters.points_drawn),
+                };
+                *nodes_of += 1;
+                *points_of += points;
                 let priority_px = candidate.priority_px;
-                cut.draw.push(DrawNode { node, count, splat_level: 0, share, priority_px });
+                cut.draw.push(DrawNode {
+                    node,
+                    count,
+                    splat_level: 0,
+                    share,
+                    priority_px,
+                    concealed,
+                });
                 self.wanted[octree].push(0);
             }
             Availability::Absent => {

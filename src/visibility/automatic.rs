@@ -85,18 +85,23 @@ impl Default for AutoSwitch {
 impl AutoSwitch {
     /// Whether the frame that begins puts questions. `coherent`: its view is near the last one's.
     pub fn begin_frame(&mut self, coherent: bool) -> bool {
-        self.asks = match self.phase {
-            Phase::Off => false,
-            Phase::Attempt => coherent,
-            // Where asking pays, the answers serve the frames after the jump; but not if one jump
-            // follows the other.
-            Phase::On => coherent || !self.jumped,
-        };
+        self.asks = self.would_ask(coherent);
         if !coherent {
             self.learning = LEARNING;
         }
         self.jumped = !coherent;
         self.asks
+    }
+
+    /// What [`begin_frame`](Self::begin_frame) would say.
+    pub fn would_ask(&self, coherent: bool) -> bool {
+        match self.phase {
+            Phase::Off => false,
+            Phase::Attempt => coherent,
+            // Where asking pays, the answers serve the frames after the jump; but not if one jump
+            // follows the other.
+            Phase::On => coherent || !self.jumped,
+        }
     }
 
     /// How often questions were switched on or off.

@@ -159,6 +159,7 @@ impl Culler {
         self.plus.forget();
         self.switch = AutoSwitch::default();
         self.last_camera = None;
+        self.queried_last = false;
     }
 
     /// Lets tight bounds be chosen anew: boxes moved far.
@@ -228,8 +229,14 @@ impl Culler {
             _ if in_vain => reference::frustum(&mut walk),
             Algorithm::None => reference::everything(&mut walk),
             Algorithm::Frustum | Algorithm::TwoPass => reference::frustum(&mut walk),
-            Algorithm::Naive => reference::naive(&mut walk, 0),
-            Algorithm::StopAndWait => reference::stop_and_wait(&mut walk, 0),
+            Algorithm::Naive => {
+                reference::naive(&mut walk, 0);
+                queries = true;
+            }
+            Algorithm::StopAndWait => {
+                reference::stop_and_wait(&mut walk, 0);
+                queries = true;
+            }
             Algorithm::Chc(options) => {
                 self.chc.judge = None;
                 self.chc.frame(&mut walk, &options, !coherent);
@@ -270,6 +277,30 @@ impl Culler {
             self.switch.observe(&self.counters, &costs, in_frustum);
         }
         self.counters
+    }
+
+    /// Whether the last frame put questions.
+    pub fn has_queried(&self) -> bool {
+        self.queried_last
+    }
+
+    /// Whether a frame from here puts questions.
+    pub fn will_ask<H: BoundingHierarchy>(&self, tree: &H, camera: &Camera) -> bool {
+        let near_last = self.is_coherent(tree, camera);
+        let counts_on_last = self.queried_last && near_last;
+        let in_vain = !self.more_follow && !counts_on_last && self.algorithm.seeds();
+        match self.algorithm {
+            Algorithm::None | Algorithm::Frustum | Algorithm::TwoPass => false,
+            _ if in_vain => false,
+            Algorithm::Auto(..) => self.switch.would_ask(near_last),
+            _ => true,
+        }
+    }
+
+    /// Whether a frame from here counts on what the last one saw: that put questions, and the
+    /// camera did not jump.
+    pub fn will_cohere<H: BoundingHierarchy>(&self, tree: &H, camera: &Camera) -> bool {
+        self.queried_last && self.is_coherent(tree, camera)
     }
 
     fn is_coherent<H: BoundingHierarchy>(&self, tree: &H, camera: &Camera) -> bool {

@@ -5,11 +5,13 @@ use std::sync::Arc;
 use esker::geometry::{Aabb, View};
 use esker::gpu::Gpu;
 use esker::gpu::layout::GpuFrame;
-use esker::hierarchy::{BoundingHierarchy, Bvh};
+use esker::hierarchy::{BoundingHierarchy, Bvh, Forest};
 use esker::ids::TreeNodeId;
 use esker::mesh::Model;
 use esker::mesh::scenes::{CameraPath, ModelScene, camera_path};
-use esker::passes::{CulledMeshes, Meshes, OcclusionQueries, Targets, Tile};
+use esker::passes::{
+    CulledOutput, CulledRecording, CulledScene, Meshes, OcclusionQueries, SceneTree, Targets, Tile,
+};
 use esker::select::SplatSettings;
 use esker::visibility::{Answer, OcclusionDevice, QueryId};
 
@@ -60,11 +62,19 @@ impl Stage {
     }
 
     /// The stage as culling draws on it, in a frame that was begun.
-    pub fn device<'a>(&'a mut self, queries: &'a mut OcclusionQueries) -> CulledMeshes<'a> {
+    pub fn device<'a>(&'a mut self, queries: &'a mut OcclusionQueries) -> CulledScene<'a> {
         self.meshes.begin(&self.gpu, &self.view, &self.frame).unwrap();
-        let targets = (&self.targets, &self.targets);
-        let (gpu, meshes) = (&self.gpu, &mut self.meshes);
-        let mut device = CulledMeshes::new(gpu, queries, meshes, &self.tree, &self.frame, targets);
+        let (colors, depths) = (&self.targets, &self.targets);
+        let mut device = CulledScene {
+            gpu: &self.gpu,
+            queries,
+            tree: SceneTree { first: &self.tree, second: Forest::default() },
+            meshes: Some(&mut self.meshes),
+            points: None,
+            frame: &self.frame,
+            output: CulledOutput::Over { colors, depths, shades_after: false },
+            recording: CulledRecording::default(),
+        };
         device.begin_frame(&self.view);
         device
     }
@@ -77,7 +87,7 @@ impl Stage {
         asked: &[Vec<Aabb>],
     ) -> Vec<bool> {
         let mut device = self.device(queries);
-        drawn.iter().for_each(|&leaf| device.draw(leaf));
+        drawn.iter().for_each(|&leaf| device.draw(device.tree.of_first(leaf)));
         let ids: Vec<QueryId> = asked.iter().map(|boxes| device.query(boxes)).collect();
         assert!(ids.iter().all(|&id| device.answer(id) == Answer::Unknown));
         if let Some(&last) = ids.last() {

@@ -8,6 +8,8 @@
 mod methods;
 #[cfg(feature = "gpu")]
 mod on_device;
+#[cfg(feature = "gpu")]
+mod points;
 mod race;
 #[cfg(feature = "gpu")]
 mod shading;
@@ -40,6 +42,8 @@ pub(super) enum Study {
     /// Times on the adapter as shading grows dearer, with depth first and without.
     #[cfg(feature = "gpu")]
     Shading,
+    /// Points of a store of the city, along its paths on the device; only for stores that are named.
+    Points,
 }
 
 /// Sizes of a run.
@@ -112,6 +116,10 @@ pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     }
     if chosen(Study::Batches) {
         studies::batches(&extent, &mut csv);
+    }
+    #[cfg(feature = "gpu")]
+    if chosen(Study::Points) && !args.files.is_empty() {
+        points::run(&extent, args)?;
     }
     write_file(&args.output.join("culling.csv"), &csv)?;
     #[cfg(feature = "gpu")]

@@ -62,8 +62,8 @@ impl Budget {
         let usable = cap.saturating_sub(FIXED_BYTES).max(cap / 4);
         // A row is as long as its record, but for wide codes and indices.
         let row = u64::from(schema.record_bytes);
-        // Sorting, the sweep, and the columns and bytes of nodes.
-        let work = workers as u64 * (96 + 4 * row);
+        // Sorting, the rows in order, the sweep, and the columns and bytes of nodes.
+        let work = workers as u64 * (96 + 5 * row);
         let chunk_points = usable * 2 / 5 / work;
         if chunk_points < LEAST_CHUNK_POINTS {
             return None;

@@ -13,7 +13,7 @@ use crate::build::node::{NodeBuilder, SortedPoints, TreeRules};
 use crate::build::paged_rows::{PagedRows, marked_stride};
 use crate::build::plan::Chunk;
 use crate::build::progress::Progress;
-use crate::build::rows::RowTable;
+use crate::build::rows::{RowTable, copy_short};
 use crate::build::sort::{Item, SortScratch, sort_rows};
 use crate::geometry::MortonKey;
 
@@ -48,6 +48,8 @@ pub type Taken = (u64, u32);
 pub struct ChunkScratch<K> {
     items: Vec<Item<K>>,
     sort: SortScratch<K>,
+    /// The rows in the order of the items.
+    sorted: Vec<u8>,
     waiting: Vec<Waiting<K>>,
     homes: Vec<u8>,
     open: Vec<OpenNode>,
@@ -92,9 +94,28 @@ pub fn build_chunk<K: MortonKey>(
     sink: &mut ChunkSink<'_, '_, K>,
 ) {
     sort_rows(rows, &mut scratch.items, &mut scratch.sort);
+    let mut sorted = std::mem::take(&mut scratch.sorted);
+    gather(rows, &mut scratch.items, &mut sorted);
+    let pages: Vec<&[u8]> = sorted.chunks(rows.layout().stride() << SORTED_PAGE_SHIFT).collect();
+    let rows = RowTable::new(&pages, SORTED_PAGE_SHIFT, rows.layout());
     let homes = Homes { root_bits: rules.root_bits, levels: rules.levels };
     find_homes(&homes, chunk, rows, taken, scratch);
     sweep(rules, chunk, rows, scratch, sink);
+    scratch.sorted = sorted;
+}
+
+/// Rows of a page of sorted rows, as a power of two.
+const SORTED_PAGE_SHIFT: u32 = 16;
+
+/// Brings rows into the order of their items: once out of order, so that all that comes later is a
+/// walk over memory nearly in order.
+fn gather<K: MortonKey>(rows: RowTable, items: &mut [Item<K>], sorted: &mut Vec<u8>) {
+    let stride = rows.layout().stride();
+    sorted.resize(items.len() * stride, 0);
+    for ((row, item), slot) in sorted.chunks_exact_mut(stride).zip(items).zip(0..) {
+        copy_short(row, rows.row(item.slot));
+        item.slot = slot;
+    }
 }
 
 /// Fills `homes`, one per item.
@@ -215,10 +236,12 @@ impl<K: MortonKey> Sweep<'_, '_, '_, K> {
     }
 
     fn contribute(&mut self, depth: u32, key: K, entering: u64, members: &[u32]) {
-        let mut rows = Vec::with_capacity(members.len() * marked_stride(self.points.rows.layout()));
-        for &place in members {
-            rows.extend_from_slice(self.points.row(place));
-            rows.push(u8::from(self.points.is_kept(place, depth)));
+        let stride = self.points.rows.layout().stride();
+        let marked = marked_stride(self.points.rows.layout());
+        let mut rows = vec![0; members.len() * marked];
+        for (row, &place) in rows.chunks_exact_mut(marked).zip(members) {
+            copy_short(&mut row[..stride], self.points.row(place));
+            row[stride] = u8::from(self.points.is_kept(place, depth));
         }
         let code = key.ancestor(self.rules.root_bits - depth);
         let rows = ContributedRows::Few(rows);

@@ -6,14 +6,12 @@ use std::sync::atomic::AtomicBool;
 use crate::build::BuildError;
 use crate::build::budget::Budget;
 use crate::build::checkpoint::{self, Checkpoints, State, Step};
-use crate::build::encode::Encoding;
 use crate::build::machine::free_disk;
-use crate::build::node::TreeRules;
+use crate::build::node::TreeShape;
 use crate::build::options::{ConvertOptions, DEPTH_RANGE};
 use crate::build::ordered::Built;
 use crate::build::pages::{PageStore, Slab};
 use crate::build::progress::{Clock, PointSample, Progress, Silent, Stage, StageTime};
-use crate::build::rows::color_offset;
 use crate::build::sources::Sources;
 use crate::build::steps::Steps;
 use crate::build::work::Work;
@@ -39,6 +37,8 @@ pub struct ConvertReport {
     pub in_memory: bool,
     /// Whether it went on from where a killed run was.
     pub resumed: bool,
+    /// Whether no point was read twice because headers told the bounds, and points bore them out.
+    pub read_once: bool,
     /// The parts of the work in order, with their times.
     pub stages: Vec<StageTime>,
     /// Per source how many points came in, and what became of them.
@@ -147,7 +147,7 @@ impl Conversion<'_> {
         if resumed.is_none() {
             self.check_disk(sources, &budget)?;
         }
-        let mut slab = Slab::reserve(budget.slab_bytes);
+        let mut slab = Slab::reserve(budget.slab_bytes, budget.page_bytes);
         let pages_end = resumed.as_ref().map_or(0, |state| state.pages_end);
         let pages = PageStore::new(work, budget.page_bytes, &mut slab, pages_end);
         let every = self.options.checkpoint_every;
@@ -164,82 +164,100 @@ impl Conversion<'_> {
         };
         let is_resumed = resumed.is_some();
         clock.begin(Stage::Read, sources.expected_points());
-        let mut surveyed = steps.survey(resumed)?;
-        let records = surveyed.survey.take_records();
-        if !records.is_empty() {
-            let (schema, lattice) = (schema.clone(), sources.lattice());
-            self.progress.take_points(PointSample { records, schema, lattice });
-        }
         let depth = self.options.depth_for(schema);
-        let root_bits = surveyed.survey.root_bits(depth);
-        if root_bits > u128::MAX_BITS {
-            let path = sources.scans().last().expect("there is a file").path().to_path_buf();
-            return Err(BuildError::TooWide { steps: 1 << (root_bits - 1), path });
-        }
-        let color_bits =
-            color_offset(schema).map(|_| if surveyed.survey.color_union > 0xff { 16 } else { 8 });
+        // Who wants points wants them before they are sorted.
+        let may_trust = self.options.trust_headers && self.progress.wanted_points() == 0;
+        let claims = may_trust.then(|| sources.claims(depth)).flatten();
+        let mut surveyed = steps.survey(resumed, claims)?;
+        let (built, root_bits) = loop {
+            let survey = &mut surveyed.survey;
+            let records = survey.take_records();
+            if !records.is_empty() {
+                let (schema, lattice) = (schema.clone(), sources.lattice());
+                self.progress.take_points(PointSample { records, schema, lattice });
+            }
+            let root_bits = survey.all.root_bits(depth);
+            if root_bits > u128::MAX_BITS {
+                let path = sources.scans().last().expect("there is a file").path().to_path_buf();
+                return Err(BuildError::TooWide { steps: 1 << (root_bits - 1), path });
+            }
+            let tree = TreeShape {
+                root_bits,
+                levels: depth,
+                threshold: self.options.threshold.max(1) as usize,
+                representative: self.options.representative,
+            };
+            let built = if survey.all.points == 0 {
+                Some(Built::new(StoreWriter::create(self.output, &before_write)?))
+            } else if root_bits <= u64::MAX_BITS {
+                steps.build::<u64>(&mut surveyed, tree, &mut clock)?
+            } else {
+                steps.build::<u128>(&mut surveyed, tree, &mut clock)?
+            };
+            if let Some(built) = built {
+                break (built, root_bits);
+            }
+            clock.begin(Stage::Read, sources.expected_points());
+            surveyed = steps.survey(None, None)?;
+        };
+        let (survey, read_once) = (&surveyed.survey, surveyed.read_once);
+        let (all, color_bits) = (survey.all, survey.color_bits(schema));
         let sections = sections_for(schema, color_bits);
-        let rules = TreeRules {
-            root_bits,
-            levels: depth,
-            threshold: self.options.threshold.max(1) as usize,
-            representative: self.options.representative,
-            encoding: Encoding { schema, sections: &sections, color_bits },
-        };
-        let built = if surveyed.survey.points == 0 {
-            Built::new(StoreWriter::create(self.output, &before_write)?)
-        } else if root_bits <= u64::MAX_BITS {
-            steps.build::<u64>(&mut surveyed, &rules, &mut clock)?
-        } else {
-            steps.build::<u128>(&mut surveyed, &rules, &mut clock)?
-        };
-        let survey = &surveyed.survey;
-        clock.begin(Stage::Write, survey.points);
+        clock.begin(Stage::Write, all.points);
         let mut points_of_source = vec![0; sources.scans().len()];
         for ((source, _), points) in sources.blocks().iter().zip(&survey.block_points) {
             points_of_source[*source] += points;
         }
         let described = sources.describe(&points_of_source);
-        let has_points = survey.points > 0;
+        let has_points = all.points > 0;
         let lattice = sources.lattice();
         let metadata = Metadata {
             generator: concat!("esker ", env!("CARGO_PKG_VERSION")).into(),
-            points: survey.points,
+            points: all.points,
             dropped_points: described.dropped_points,
             scale: lattice.scale.to_array(),
             offset: lattice.offset.to_array(),
-            root_min: if has_points { survey.min } else { [0; 3] },
+            root_min: if has_points { all.min } else { [0; 3] },
             root_bits,
             depth,
             threshold: self.options.threshold.max(1),
             overflow_points: built.overflow_points,
-            bounds_min: if has_points { survey.min } else { [0; 3] },
-            bounds_max: if has_points { survey.max } else { [0; 3] },
+            bounds_min: if has_points { all.min } else { [0; 3] },
+            bounds_max: if has_points { all.max } else { [0; 3] },
             color_bits,
             schema: schema.clone(),
             attribute_ranges: finite(built.ranges),
-            sections: sections.clone(),
+            sections,
             crs: described.crs,
             sources: described.infos,
         };
         let nodes = built.writer.node_count();
         let overwrite = self.options.overwrite;
-        let output_bytes = built.writer.finish(&metadata, &described.appendix, overwrite)?;
-        self.progress.advance(survey.points);
+        let temporary_bytes = pages.written_bytes();
+        drop((steps, surveyed));
+        drop(pages);
+        // The disk is waited for while the system takes back the memory, which takes time.
+        let (output_bytes, ()) = rayon::join(
+            || built.writer.finish(&metadata, &described.appendix, overwrite),
+            || slab.release(),
+        );
+        let output_bytes = output_bytes?;
+        self.progress.advance(all.points);
         let warnings = metadata
             .sources
             .iter()
             .flat_map(|source| source.warnings.iter().map(|w| format!("{}: {w}", source.name)))
             .collect();
         Ok(ConvertReport {
-            points: survey.points,
+            points: all.points,
             dropped_points: metadata.dropped_points,
             nodes,
             overflow_points: built.overflow_points,
             output_bytes,
-            temporary_bytes: pages.written_bytes(),
-            in_memory: pages.written_bytes() == 0,
+            temporary_bytes,
+            in_memory: temporary_bytes == 0,
             resumed: is_resumed,
+            read_once,
             stages: clock.finish(),
             sources: metadata.sources,
             warnings,

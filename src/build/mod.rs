@@ -1,7 +1,7 @@
 //! The preprocessor: scan files into the nodes of a store, within a bound on memory.
 //!
-//! One pass over the input finds its true bounds (headers are not trusted). A second sorts the
-//! points into chunks of neighbours (`plan`, `partition`), in pages that stay in memory as long as
+//! One pass over the input finds its true bounds (headers are not trusted; where they are easily
+//! verified, they replace the pass, `claims`). A second sorts the points into chunks of neighbours (`plan`, `partition`), in pages that stay in memory as long as
 //! there is room (`pages`). Chunks are built side by side (`chunk`, `home`, `node`); nodes that
 //! reach over several are put together from their parts (`spanning`). The octree is the same, byte
 //! for byte, for any number of threads and any memory cap.
@@ -11,6 +11,7 @@ mod append;
 mod budget;
 mod checkpoint;
 mod chunk;
+mod claims;
 mod convert;
 mod dense_chunk;
 mod encode;
@@ -29,6 +30,7 @@ mod partition;
 mod plan;
 mod progress;
 mod rows;
+mod seen;
 mod sort;
 mod sources;
 mod spanning;

@@ -23,6 +23,27 @@ pub enum Representative {
     Random,
 }
 
+/// An octree to be made, whatever its nodes hold.
+#[derive(Clone, Copy, Debug)]
+pub struct TreeShape {
+    /// Bits per axis of the root cube.
+    pub root_bits: u32,
+    /// The paper's D.
+    pub levels: u32,
+    /// Fewest points that make a child.
+    pub threshold: usize,
+    /// How representatives are chosen.
+    pub representative: Representative,
+}
+
+impl TreeShape {
+    /// The rules of the octree with nodes that are encoded like that.
+    pub fn rules<'a>(&self, encoding: Encoding<'a>) -> TreeRules<'a> {
+        let TreeShape { root_bits, levels, threshold, representative } = *self;
+        TreeRules { root_bits, levels, threshold, representative, encoding }
+    }
+}
+
 /// What is the same for all nodes of a build.
 pub struct TreeRules<'a> {
     /// Bits per axis of the root cube.

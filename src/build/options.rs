@@ -36,6 +36,9 @@ pub struct ConvertOptions {
     /// Time between two notes of how far the work is, from which a killed run goes on. Each brings
     /// to disk what is in memory. Default half a minute: what takes less starts anew.
     pub checkpoint_every: Duration,
+    /// Take the bounds in the headers of plain LAS files at their word until the points are sorted,
+    /// and begin again where they were wrong. Saves a pass over the input; the output is the same.
+    pub trust_headers: bool,
     /// Called before every write to disk; its error is the write's. For tests.
     pub before_write: Option<BeforeWrite>,
 }
@@ -52,6 +55,7 @@ impl fmt::Debug for ConvertOptions {
             .field("representative", &self.representative)
             .field("read", &self.read)
             .field("checkpoint_every", &self.checkpoint_every)
+            .field("trust_headers", &self.trust_headers)
             .finish_non_exhaustive()
     }
 }
@@ -68,6 +72,7 @@ impl Default for ConvertOptions {
             representative: Representative::Color,
             read: ReadOptions::default(),
             checkpoint_every: Duration::from_secs(30),
+            trust_headers: true,
             before_write: None,
         }
     }

@@ -37,15 +37,8 @@ impl<'p> PagedRows<'p> {
         is_kept: bool,
     ) -> Result<(), BuildError> {
         let stride = row.len() + 1;
-        self.stride = stride;
-        if self.open.is_some() && self.used + stride > pages.page_bytes() {
-            let mut full = self.open.take().expect("it was seen");
-            full.set_used(self.used, stride);
-            let (full, next) = pages.keep(full)?;
-            self.pages.push(full);
-            (self.open, self.used) = (Some(next), 0);
-        }
-        let room = self.open.get_or_insert_with(|| pages.buffer()).room();
+        self.make_room(pages, stride)?;
+        let room = self.open.as_mut().expect("there is room").room();
         room[self.used..self.used + row.len()].copy_from_slice(row);
         room[self.used + row.len()] = u8::from(is_kept);
         self.used += stride;
@@ -60,9 +53,33 @@ impl<'p> PagedRows<'p> {
         marked: &[u8],
         stride: usize,
     ) -> Result<(), BuildError> {
-        marked
-            .chunks_exact(stride)
-            .try_for_each(|row| self.push(pages, &row[..stride - 1], row[stride - 1] == 1))
+        let mut rest = marked;
+        while !rest.is_empty() {
+            self.make_room(pages, stride)?;
+            let room = self.open.as_mut().expect("there is room").room();
+            let count = ((room.len() - self.used) / stride).min(rest.len() / stride);
+            assert!(count > 0, "a page holds a row");
+            let (now, later) = rest.split_at(count * stride);
+            room[self.used..self.used + now.len()].copy_from_slice(now);
+            self.used += now.len();
+            self.rows += count as u64;
+            rest = later;
+        }
+        Ok(())
+    }
+
+    /// Opens a page, if none is or the open one is full.
+    fn make_room(&mut self, pages: &PageStore<'p>, stride: usize) -> Result<(), BuildError> {
+        self.stride = stride;
+        if self.open.is_some() && self.used + stride > pages.page_bytes() {
+            let mut full = self.open.take().expect("it was seen");
+            full.set_used(self.used, stride);
+            let (full, next) = pages.keep(full)?;
+            self.pages.push(full);
+            (self.open, self.used) = (Some(next), 0);
+        }
+        self.open.get_or_insert_with(|| pages.buffer());
+        Ok(())
     }
 
     /// Takes all of another.

@@ -11,6 +11,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, OnceLock};
 
 use memmap2::MmapMut;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::build::BuildError;
@@ -22,13 +23,28 @@ use crate::store::StoreBytes;
 ///
 /// Not backed by huge pages: they saved little where memory was warm and cost far more where a
 /// virtual machine had to get it from its host (`docs/measurements/conversion.md`).
-pub struct Slab(Option<MmapMut>);
+pub struct Slab(Vec<MmapMut>);
+
+/// Bytes that are reserved together, about.
+const RESERVATION: usize = 64 << 20;
 
 impl Slab {
-    /// Room for `bytes`; none if the system refuses.
-    pub fn reserve(bytes: u64) -> Self {
-        let bytes = usize::try_from(bytes).unwrap_or(usize::MAX);
-        Slab(if bytes > 0 { MmapMut::map_anon(bytes).ok() } else { None })
+    /// Room for `bytes` in pages of `page_bytes`; less if the system refuses.
+    pub fn reserve(bytes: u64, page_bytes: usize) -> Self {
+        let mut pages = usize::try_from(bytes).unwrap_or(usize::MAX) / page_bytes;
+        let most = (RESERVATION / page_bytes).max(1);
+        let mut parts = Vec::new();
+        while pages > 0 {
+            let Ok(part) = MmapMut::map_anon(pages.min(most) * page_bytes) else { break };
+            pages -= pages.min(most);
+            parts.push(part);
+        }
+        Slab(parts)
+    }
+
+    /// Gives the memory back, which takes the system a while, on all threads.
+    pub fn release(self) {
+        self.0.into_par_iter().for_each(drop);
     }
 }
 
@@ -108,9 +124,9 @@ impl<'a> PageStore<'a> {
     /// Pages of `page_bytes` in a slab; those that find no room go to a file of the work folder,
     /// from byte `end` on.
     pub fn new(work: &'a Work, page_bytes: usize, slab: &'a mut Slab, end: u64) -> Self {
-        let bytes: &'a mut [u8] = slab.0.as_deref_mut().unwrap_or_default();
-        let mut free: Vec<PageBuffer> = bytes
-            .chunks_exact_mut(page_bytes)
+        let parts = slab.0.iter_mut();
+        let mut free: Vec<PageBuffer> = parts
+            .flat_map(|part| part.chunks_exact_mut(page_bytes))
             .map(|room| PageBuffer { room: Room::Slab(room), used: 0, stride: 0 })
             .collect();
         // Taken from the end: what was used last comes first.
@@ -339,7 +355,7 @@ mod tests {
     fn pages_come_back_from_memory_and_from_disk() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         for (memory, expected_on_disk) in [(0, 21), (300, 19), (1 << 20, 0)] {
-            let mut slab = Slab::reserve(memory);
+            let mut slab = Slab::reserve(memory, 100);
             let work = Work::new(folder.path(), Path::new("out"), None);
             let store = PageStore::new(&work, 100, &mut slab, 0);
             let mut pages = Vec::new();

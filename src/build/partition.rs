@@ -217,6 +217,18 @@ impl<'a, 'p, K: MortonKey> Partition<'a, 'p, K> {
         Ok(())
     }
 
+    /// Gives all memory back, with the rows in it.
+    pub fn abandon(self, open: impl Iterator<Item = OpenPages<'p>>) {
+        let open = open.flat_map(|open| open.pages).filter_map(|(page, ..)| page);
+        let pages = self.pages;
+        open.for_each(|page| pages.give_back(page));
+        for page in self.into_chunks().into_iter().flat_map(|rows| rows.pages) {
+            if let Page::Memory(page) = page {
+                pages.give_back(page);
+            }
+        }
+    }
+
     /// The chunks' rows, in order.
     pub fn into_chunks(self) -> Vec<ChunkRows<'p>> {
         let rows = self.chunks.into_iter();

@@ -76,25 +76,31 @@ pub struct StageTime {
 pub(super) struct Clock<'a> {
     progress: &'a dyn Progress,
     stages: Vec<StageTime>,
+    /// Which of them goes on.
+    current: usize,
     began: Instant,
 }
 
 impl<'a> Clock<'a> {
     pub fn new(progress: &'a dyn Progress) -> Self {
-        Clock { progress, stages: Vec::new(), began: Instant::now() }
+        Clock { progress, stages: Vec::new(), current: 0, began: Instant::now() }
     }
 
-    /// A part begins that will advance by so many points.
+    /// A part begins, or begins again, that will advance by so many points.
     pub fn begin(&mut self, stage: Stage, points: u64) {
         self.stop();
-        self.stages.push(StageTime { stage: stage.name(), seconds: 0.0 });
+        let known = self.stages.iter().position(|known| known.stage == stage.name());
+        self.current = known.unwrap_or_else(|| {
+            self.stages.push(StageTime { stage: stage.name(), seconds: 0.0 });
+            self.stages.len() - 1
+        });
         self.progress.begin(stage, points);
     }
 
     fn stop(&mut self) {
         let now = Instant::now();
-        if let Some(stage) = self.stages.last_mut() {
-            stage.seconds = (now - self.began).as_secs_f64();
+        if let Some(stage) = self.stages.get_mut(self.current) {
+            stage.seconds += (now - self.began).as_secs_f64();
         }
         self.began = now;
     }

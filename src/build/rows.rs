@@ -87,18 +87,20 @@ impl RowLayout {
 /// Copies a handful of bytes without calling out. The slices have the same length.
 #[inline]
 pub fn copy_short(to: &mut [u8], from: &[u8]) {
-    let length = from.len();
-    let to = &mut to[..length];
-    if !(8..=64).contains(&length) {
-        to.copy_from_slice(from);
-        return;
+    /// The first and the last `N` bytes, which may overlap. A loop would become a call.
+    #[inline]
+    fn both_ends<const N: usize>(to: &mut [u8], from: &[u8]) {
+        let last = from.len() - N;
+        to[..N].copy_from_slice(&from[..N]);
+        to[last..].copy_from_slice(&from[last..]);
     }
-    let mut at = 0;
-    while at + 8 <= length {
-        to[at..at + 8].copy_from_slice(&from[at..at + 8]);
-        at += 8;
+    let to = &mut to[..from.len()];
+    match from.len() {
+        8..=16 => both_ends::<8>(to, from),
+        17..=32 => both_ends::<16>(to, from),
+        33..=64 => both_ends::<32>(to, from),
+        _ => to.copy_from_slice(from),
     }
-    to[length - 8..].copy_from_slice(&from[length - 8..]);
 }
 
 /// Rows in pages that each hold the same power of two of rows, except that any may end early.

@@ -12,8 +12,8 @@ use crate::build::node::{NodeBuilder, SortedPoints, TreeRules};
 use crate::build::ordered::DoneNode;
 use crate::build::paged_rows::{PagedRows, marked_stride};
 use crate::build::pages::{DiskPlace, PageStore};
-use crate::build::rows::{RowLayout, RowTable};
-use crate::build::sort::{Item, SortScratch, sort_rows};
+use crate::build::rows::{RowLayout, RowTable, copy_short};
+use crate::build::sort::Item;
 use crate::geometry::MortonKey;
 
 /// A node whose chunks are not all done.
@@ -179,7 +179,8 @@ impl<'p> ReadyNode<'p> {
         builder: &mut NodeBuilder<K>,
     ) -> Result<DoneNode<'p>, BuildError> {
         let marked = marked_stride(layout);
-        let points = self.rows.len() + (self.between.len() / marked) as u64;
+        let main = self.rows.len();
+        let points = main + (self.between.len() / marked) as u64;
         if points > most_points {
             let order = |row: &&[u8]| (K::read(row), layout.index(row));
             let mut between: Vec<&[u8]> = self.between.chunks_exact(marked).collect();
@@ -191,11 +192,15 @@ impl<'p> ReadyNode<'p> {
         }
         const PAGE_SHIFT: u32 = 16;
         let stride = layout.stride();
-        let mut rows = Vec::with_capacity(points as usize * stride);
+        let mut rows = vec![0; points as usize * stride];
         let mut kept = Vec::with_capacity(points as usize);
+        let mut free = rows.as_mut_slice();
         let mut take = |marked_rows: &[u8]| {
-            for row in marked_rows.chunks_exact(marked) {
-                rows.extend_from_slice(&row[..stride]);
+            let count = marked_rows.len() / marked;
+            let (room, rest) = std::mem::take(&mut free).split_at_mut(count * stride);
+            free = rest;
+            for (to, row) in room.chunks_exact_mut(stride).zip(marked_rows.chunks_exact(marked)) {
+                copy_short(to, &row[..stride]);
                 kept.push(row[stride] == 1);
             }
             Ok(())
@@ -205,8 +210,17 @@ impl<'p> ReadyNode<'p> {
         self.rows.discard(pages)?;
         let pages: Vec<&[u8]> = rows.chunks(stride << PAGE_SHIFT).collect();
         let rows = RowTable::new(&pages, PAGE_SHIFT, layout);
-        let mut items: Vec<Item<K>> = Vec::new();
-        sort_rows(rows, &mut items, &mut SortScratch::default());
+        let mut items: Vec<Item<K>> = Vec::with_capacity(points as usize);
+        for page in rows.slots() {
+            items.extend(page.map(|(slot, row)| Item { key: K::read(row), slot }));
+        }
+        let index = |item: &Item<K>| layout.index(rows.row(item.slot));
+        let order = |a: &Item<K>, b: &Item<K>| a.key.cmp(&b.key).then(index(a).cmp(&index(b)));
+        // Those of dissolved children are few, the others in order: merged rather than sorted.
+        items[main as usize..].sort_unstable_by(order);
+        if main > 0 && main < points {
+            items.sort_by(order);
+        }
         let home = |item: &Item<K>| match kept[item.slot as usize] {
             true => self.depth as u8,
             false => self.depth as u8 | BEYOND,

@@ -11,25 +11,27 @@ use crate::build::budget::Budget;
 use crate::build::checkpoint::{Checkpoints, State, Step, chunk_states, held_state, resume_chunks};
 use crate::build::chunk::{ChunkScratch, ChunkSink, build_chunk};
 use crate::build::dense_chunk::build_dense_chunk;
+use crate::build::encode::Encoding;
 use crate::build::in_order::run_in_order;
-use crate::build::node::{NodeBuilder, TreeRules};
+use crate::build::node::{NodeBuilder, TreeRules, TreeShape};
 use crate::build::ordered::{Built, DoneNode, OrderedNodes};
 use crate::build::pages::{DiskPlace, Page, PageStore};
 use crate::build::partition::{
     ChunkRows, ChunkRowsState, OpenPages, Partition, PartitionShape, split, taken_by_shared_cells,
 };
 use crate::build::plan::{Chunk, Plan};
-use crate::build::progress::{Clock, Progress, Stage};
+use crate::build::progress::{Clock, Progress, Silent, Stage};
 use crate::build::rows::{RowLayout, RowTable};
+use crate::build::seen::Seen;
 use crate::build::sources::Sources;
 use crate::build::spanning::{ReadyNode, Spanning};
 use crate::build::survey::{HeldPage, Part, Survey};
 use crate::geometry::MortonKey;
-use crate::input::BlockBuffer;
-use crate::store::{StoreWriter, ValueRange, WriteHook};
+use crate::input::{BlockBuffer, RUN_RECORDS};
+use crate::store::{StoreWriter, ValueRange, WriteHook, sections_for};
 
 /// What all steps work with.
-pub struct Steps<'a, 'p> {
+pub struct Steps<'a, 'p, 'w> {
     /// Hears how it goes on.
     pub progress: &'a dyn Progress,
     /// Set when the user wants to stop.
@@ -43,7 +45,7 @@ pub struct Steps<'a, 'p> {
     /// The store's place.
     pub output: &'a Path,
     /// Called before every write to the store.
-    pub before_write: WriteHook<'a>,
+    pub before_write: WriteHook<'w>,
     /// Notes of how far it is.
     pub checkpoints: Checkpoints<'a>,
 }
@@ -54,9 +56,24 @@ pub struct Surveyed<'p> {
     pub survey: Survey,
     /// Records of compressed inputs.
     held: Vec<HeldPage<'p>>,
+    /// Whether headers' claims took the place of reading all points.
+    pub read_once: bool,
     /// What is left of a killed run that was past reading.
     later: Option<Step>,
 }
+
+/// One worker that brings points into chunks.
+struct Filler<'p> {
+    open: OpenPages<'p>,
+    buffer: BlockBuffer,
+    /// What it saw of points whose bounds are only claimed.
+    seen: Seen,
+}
+
+/// Most points of a sample of an input that is not read as a whole.
+const MOST_SAMPLED: u64 = 1 << 17;
+/// A run of the sample costs about as much as reading so many bytes in a row.
+const BYTES_PER_RUN: u64 = 1 << 17;
 
 /// The chunks of an input and what is in them.
 struct Chunks<'p, K> {
@@ -64,9 +81,51 @@ struct Chunks<'p, K> {
     rows: Vec<ChunkRows<'p>>,
 }
 
-impl<'a, 'p> Steps<'a, 'p> {
+impl<'p, 'w> Steps<'_, 'p, 'w> {
+    /// What is known of the input before its points are sorted: what headers claim, if they may be
+    /// trusted so far and claim enough, or what reading every point tells.
+    pub fn survey(
+        &mut self,
+        resumed: Option<State>,
+        claims: Option<Seen>,
+    ) -> Result<Surveyed<'p>, BuildError> {
+        if let (None, Some(claims)) = (&resumed, claims)
+            && let Some(survey) = self.sample_claimed(claims)?
+        {
+            return Ok(Surveyed { survey, held: Vec::new(), read_once: true, later: None });
+        }
+        self.read_all(resumed)
+    }
+
+    /// A survey of what is claimed, with points of the input as a sample; none if one of these lies
+    /// outside the bounds.
+    fn sample_claimed(&self, claims: Seen) -> Result<Option<Survey>, BuildError> {
+        let blocks = self.sources.blocks();
+        let file_bytes: u64 = self.sources.scans().iter().map(|s| s.scan.file_bytes()).sum();
+        let wanted = (file_bytes / BYTES_PER_RUN * RUN_RECORDS).clamp(RUN_RECORDS, MOST_SAMPLED);
+        let sampled = self.sources.sampled(wanted);
+        let runs = sampled.blocks();
+        let every_point = Survey { sample_weight: 1, ..Survey::new(runs.len(), 0) };
+        let mut parts: Vec<Part> = (0..self.budget.workers).map(|_| Part::new()).collect();
+        run_in_order(0..runs.len(), None, self.cancelled, &mut parts, |part, i| {
+            every_point.read_block(&sampled, runs[i], i, None, part, &Silent)
+        })?;
+        let mut sample = every_point;
+        parts.iter_mut().for_each(|part| sample.join(part, &mut Vec::new(), self.pages));
+        if sample.all.points == 0 || !claims.encloses(&sample.all) {
+            return Ok(None);
+        }
+        Ok(Some(Survey {
+            all: claims,
+            verified: Some(Seen::default()),
+            block_points: blocks.iter().map(|(_, block)| block.points).collect(),
+            sample_weight: (claims.points / sample.all.points).max(1),
+            ..sample
+        }))
+    }
+
     /// Reads every point once.
-    pub fn survey(&mut self, resumed: Option<State>) -> Result<Surveyed<'p>, BuildError> {
+    fn read_all(&mut self, resumed: Option<State>) -> Result<Surveyed<'p>, BuildError> {
         let blocks = self.sources.blocks();
         let (mut survey, mut held, mut next) = match resumed {
             None => {
@@ -79,10 +138,11 @@ impl<'a, 'p> Steps<'a, 'p> {
                 (survey, held.into_iter().map(|page| page.resume()).collect(), done)
             }
             Some(State { survey, step, .. }) => {
-                return Ok(Surveyed { survey, held: Vec::new(), later: Some(step) });
+                let read_once = survey.verified.is_some();
+                return Ok(Surveyed { survey, held: Vec::new(), read_once, later: Some(step) });
             }
         };
-        self.progress.advance(survey.points);
+        self.progress.advance(survey.all.points);
         let hold = self.sources.are_compressed().then_some(self.pages);
         let mut parts: Vec<Part> = (0..self.budget.workers).map(|_| Part::new()).collect();
         while next < blocks.len() {
@@ -99,25 +159,27 @@ impl<'a, 'p> Steps<'a, 'p> {
             }
         }
         held.sort_by_key(|page| (page.block, page.first));
-        Ok(Surveyed { survey, held, later: None })
+        Ok(Surveyed { survey, held, read_once: false, later: None })
     }
 
-    /// Sorts all points into chunks and builds these side by side.
+    /// Sorts all points into chunks and builds these side by side. None if the points do not bear
+    /// out what headers claim; nothing is left then of what was done.
     pub fn build<K: MortonKey>(
         &mut self,
         surveyed: &mut Surveyed<'p>,
-        rules: &TreeRules,
+        tree: TreeShape,
         clock: &mut Clock,
-    ) -> Result<Built<'a>, BuildError> {
-        let points = surveyed.survey.points;
+    ) -> Result<Option<Built<'w>>, BuildError> {
+        let points = surveyed.survey.all.points;
         let layout = RowLayout::new::<K>(self.sources.schema(), points);
         let shape = PartitionShape {
             layout,
             page_shift: self.budget.page_shift(layout.stride()),
-            root_bits: rules.root_bits,
-            levels: rules.levels,
+            root_bits: tree.root_bits,
+            levels: tree.levels,
         };
         clock.begin(Stage::Partition, points);
+        let schema = self.sources.schema();
         let chunks = match surveyed.later.take() {
             Some(Step::Build {
                 done,
@@ -129,7 +191,10 @@ impl<'a, 'p> Steps<'a, 'p> {
                 ranges,
                 overflow_points,
             }) => {
-                let mut spanning = self.spanning::<K>(rules, layout, &resume_chunks(&chunks));
+                let color_bits = surveyed.survey.color_bits(schema);
+                let sections = sections_for(schema, color_bits);
+                let rules = tree.rules(Encoding { schema, sections: &sections, color_bits });
+                let mut spanning = self.spanning::<K>(&rules, layout, &resume_chunks(&chunks));
                 spanning.resume(done, pending, self.pages)?;
                 let coarse = coarse.into_iter().map(|places| self.pages.read_pieces(places));
                 let coarse = coarse.collect::<Result<_, _>>()?;
@@ -138,26 +203,33 @@ impl<'a, 'p> Steps<'a, 'p> {
                 let rows = rows.into_iter().map(ChunkRows::resume).collect();
                 let chunks = Chunks { chunks: resume_chunks(&chunks), rows };
                 clock.begin(Stage::Build, points);
-                return self.build_chunks(chunks, done, spanning, built, surveyed, rules, shape);
+                return self
+                    .build_chunks(chunks, done, spanning, built, surveyed, &rules, shape)
+                    .map(Some);
             }
             Some(Step::Partition { done, held, chunks, rows }) => {
-                let plan = Plan::of_starts(resume_chunks(&chunks), rules.root_bits);
+                let plan = Plan::of_starts(resume_chunks(&chunks), tree.root_bits);
                 let rows = rows.into_iter().map(ChunkRows::resume).collect();
                 let partition = Partition::new(&plan, shape, self.pages).resume(rows);
                 surveyed.held = held.into_iter().map(|page| page.resume()).collect();
-                self.fill(surveyed, &plan, partition, done)?
+                self.fill(surveyed, &plan, partition, done, tree.levels)?
             }
             _ => {
-                let plan = self.plan::<K>(&mut surveyed.survey, rules);
+                let plan = self.plan::<K>(&mut surveyed.survey, tree);
                 let partition = Partition::new(&plan, shape, self.pages);
-                self.fill(surveyed, &plan, partition, 0)?
+                self.fill(surveyed, &plan, partition, 0, tree.levels)?
             }
         };
+        let Some(chunks) = chunks else { return Ok(None) };
         let chunks = self.split_large(chunks, points, shape)?;
         clock.begin(Stage::Build, points);
-        let spanning = self.spanning(rules, layout, &chunks.chunks);
+        let color_bits = surveyed.survey.color_bits(schema);
+        let sections = sections_for(schema, color_bits);
+        let rules = tree.rules(Encoding { schema, sections: &sections, color_bits });
+        let spanning = self.spanning(&rules, layout, &chunks.chunks);
         let writer = StoreWriter::create(self.output, self.before_write)?;
-        self.build_chunks(chunks, 0, spanning, Built::new(writer), surveyed, rules, shape)
+        let built = Built::new(writer);
+        self.build_chunks(chunks, 0, spanning, built, surveyed, &rules, shape).map(Some)
     }
 
     fn spanning<K: MortonKey>(
@@ -169,42 +241,53 @@ impl<'a, 'p> Steps<'a, 'p> {
         Spanning::new(rules, layout, chunks.iter().map(|chunk| chunk.end).collect())
     }
 
-    fn plan<K: MortonKey>(&self, survey: &mut Survey, rules: &TreeRules) -> Plan<K> {
+    fn plan<K: MortonKey>(&self, survey: &mut Survey, tree: TreeShape) -> Plan<K> {
         let sample = std::mem::take(&mut survey.sample);
-        let origin = survey.min;
+        let origin = survey.all.min;
         let mut keys: Vec<K> = sample
             .par_iter()
             .map(|p| K::encode([0, 1, 2].map(|axis| (p[axis] - origin[axis]) as u32)))
             .collect();
         keys.par_sort_unstable();
-        let target = self.budget.chunk_points(survey.points);
-        Plan::new(&keys, survey.sample_weight, target, rules.root_bits, rules.levels)
+        let target = self.budget.chunk_points(survey.all.points);
+        Plan::new(&keys, survey.sample_weight, target, tree.root_bits, tree.levels)
     }
 
-    /// Brings all points of the input into their chunks.
+    /// Brings all points of the input into their chunks. None if they are not what headers claim.
     fn fill<K: MortonKey>(
         &mut self,
         surveyed: &mut Surveyed<'p>,
         plan: &Plan<K>,
         mut partition: Partition<'_, 'p, K>,
         mut next: usize,
-    ) -> Result<Chunks<'p, K>, BuildError> {
-        let (sources, survey) = (self.sources, &surveyed.survey);
-        let record_bytes = sources.schema().record_bytes as usize;
+        levels: u32,
+    ) -> Result<Option<Chunks<'p, K>>, BuildError> {
+        let (sources, survey) = (self.sources, &mut surveyed.survey);
+        let schema = sources.schema();
+        let record_bytes = schema.record_bytes as usize;
         let blocks = sources.blocks();
         let first_indices = survey.first_indices();
+        let least = survey.all.min;
         let origin = |source: usize| {
             let shift = sources.shift(source);
-            [0, 1, 2].map(|axis| survey.min[axis] - shift[axis])
+            [0, 1, 2].map(|axis| least[axis] - shift[axis])
         };
+        let is_claimed = survey.verified.is_some();
+        let block_points = std::mem::take(&mut survey.block_points);
         let is_held = sources.are_compressed();
         let held: Vec<Mutex<Option<HeldPage>>> = std::mem::take(&mut surveyed.held)
             .into_iter()
             .map(|page| Mutex::new(Some(page)))
             .collect();
         let count = if is_held { held.len() } else { blocks.len() };
-        let new_states = |partition: &Partition<'_, 'p, K>| -> Vec<(OpenPages<'p>, BlockBuffer)> {
-            (0..self.budget.workers).map(|_| (partition.open(), BlockBuffer::default())).collect()
+        let new_states = |partition: &Partition<'_, 'p, K>| -> Vec<Filler<'p>> {
+            (0..self.budget.workers)
+                .map(|_| Filler {
+                    open: partition.open(),
+                    buffer: BlockBuffer::default(),
+                    seen: Seen::default(),
+                })
+                .collect()
         };
         let mut states = new_states(&partition);
         while next < count {
@@ -219,10 +302,13 @@ impl<'a, 'p> Steps<'a, 'p> {
                 self.pages.give_back(records);
                 Ok(())
             };
-            let add_block = |(open, buffer): &mut (OpenPages<'p>, BlockBuffer), i: usize| {
+            let add_block = |Filler { open, buffer, seen }: &mut Filler<'p>, i: usize| {
                 let (source, block) = blocks[i];
                 let (origin, mut found) = (origin(source), 0);
                 sources.read_block(source, block, buffer, &mut |records| {
+                    if is_claimed {
+                        seen.look(records, schema, sources.shift(source));
+                    }
                     let first = first_indices[i] + found;
                     partition.add_records(open, records, record_bytes, first, origin)?;
                     let count = (records.len() / record_bytes) as u64;
@@ -230,18 +316,27 @@ impl<'a, 'p> Steps<'a, 'p> {
                     self.progress.advance(count);
                     Ok(())
                 })?;
-                if found == survey.block_points[i] { Ok(()) } else { Err(BuildError::Changed) }
+                if found == block_points[i] { Ok(()) } else { Err(BuildError::Changed) }
             };
-            next = run_in_order(
+            let outcome = run_in_order(
                 next..count,
                 self.checkpoints.next(),
                 self.cancelled,
                 &mut states,
-                |state, i| if is_held { add_held(&mut state.0, i) } else { add_block(state, i) },
-            )?;
+                |state, i| if is_held { add_held(&mut state.open, i) } else { add_block(state, i) },
+            );
+            next = match outcome {
+                // A point outside of the bounds.
+                Err(BuildError::Changed) if is_claimed => {
+                    partition.abandon(states.into_iter().map(|state| state.open));
+                    return Ok(None);
+                }
+                outcome => outcome?,
+            };
             if self.checkpoints.is_due() && next < count {
-                for (open, _) in std::mem::replace(&mut states, new_states(&partition)) {
-                    partition.close(open)?;
+                for state in std::mem::replace(&mut states, new_states(&partition)) {
+                    survey.verified.iter_mut().for_each(|verified| verified.join(&state.seen));
+                    partition.close(state.open)?;
                 }
                 let rows = partition.state()?;
                 let mut left = Vec::new();
@@ -257,11 +352,21 @@ impl<'a, 'p> Steps<'a, 'p> {
                 }
                 let chunks = chunk_states(plan.chunks());
                 let step = Step::Partition { done: next, held: left, chunks, rows };
-                self.checkpoints.make(self.pages, survey, step)?;
+                let whole = Survey { block_points: block_points.clone(), ..survey.clone() };
+                self.checkpoints.make(self.pages, &whole, step)?;
             }
         }
-        states.into_iter().try_for_each(|(open, _)| partition.close(open))?;
-        Ok(Chunks { chunks: plan.chunks().to_vec(), rows: partition.into_chunks() })
+        survey.block_points = block_points;
+        for state in &states {
+            survey.verified.iter_mut().for_each(|verified| verified.join(&state.seen));
+        }
+        let open = states.into_iter().map(|state| state.open);
+        if !survey.settle(levels) {
+            partition.abandon(open);
+            return Ok(None);
+        }
+        open.into_iter().try_for_each(|open| partition.close(open))?;
+        Ok(Some(Chunks { chunks: plan.chunks().to_vec(), rows: partition.into_chunks() }))
     }
 
     /// Divides chunks that hold far more points than planned.
@@ -297,11 +402,11 @@ impl<'a, 'p> Steps<'a, 'p> {
         chunks: Chunks<'p, K>,
         mut next: usize,
         spanning: Spanning<'p, K>,
-        built: Built<'a>,
+        built: Built<'w>,
         surveyed: &Surveyed<'p>,
         rules: &TreeRules,
         shape: PartitionShape,
-    ) -> Result<Built<'a>, BuildError> {
+    ) -> Result<Built<'w>, BuildError> {
         let Chunks { chunks, rows } = chunks;
         let taken = taken_by_shared_cells(&chunks, &rows, rules.root_bits, rules.levels);
         let mut rows: Vec<Mutex<ChunkRows>> = rows.into_iter().map(Mutex::new).collect();

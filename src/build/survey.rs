@@ -1,13 +1,16 @@
 //! The first pass: every record once, for true bounds and counts (headers are not trusted).
 //!
 //! Records of compressed inputs are kept as they were decoded, in pages; others are read again.
+//! Plain records need no first pass where headers tell bounds (`claims`): what these claim is
+//! compared with what is seen while the records are sorted.
 
 use serde::{Deserialize, Serialize};
 
 use crate::build::BuildError;
 use crate::build::pages::{Page, PageBuffer, PageStore};
 use crate::build::progress::Progress;
-use crate::build::rows::{color_offset, read_color};
+use crate::build::rows::color_offset;
+use crate::build::seen::Seen;
 use crate::build::sources::Sources;
 use crate::input::{Block, BlockBuffer};
 use crate::points::{COORDINATE_BYTES, Schema, record_coordinates};
@@ -26,14 +29,10 @@ pub struct HeldPage<'p> {
 /// What one pass over all points tells.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Survey {
-    /// Points seen.
-    pub points: u64,
-    /// Smallest coordinates on the store's lattice.
-    pub min: [i64; 3],
-    /// Largest coordinates on the store's lattice.
-    pub max: [i64; 3],
-    /// All colour channels or-ed: above 255 in 16-bit files.
-    pub color_union: u16,
+    /// All points.
+    pub all: Seen,
+    /// If `all` is what headers claim: what has been seen of it so far.
+    pub verified: Option<Seen>,
     /// Points of each block.
     pub block_points: Vec<u64>,
     /// Coordinates of every so many points, on the store's lattice.
@@ -53,10 +52,7 @@ const SAMPLE_POINTS: u64 = 1 << 16;
 
 /// One worker's part of the survey.
 pub struct Part<'p> {
-    points: u64,
-    min: [i64; 3],
-    max: [i64; 3],
-    color_union: u16,
+    seen: Seen,
     sample: Vec<[i64; 3]>,
     held: Vec<HeldPage<'p>>,
     block_points: Vec<(usize, u64)>,
@@ -69,10 +65,7 @@ impl<'p> Part<'p> {
     /// Nothing yet.
     pub fn new() -> Self {
         Part {
-            points: 0,
-            min: [i64::MAX; 3],
-            max: [i64::MIN; 3],
-            color_union: 0,
+            seen: Seen::default(),
             sample: Vec::new(),
             held: Vec::new(),
             block_points: Vec::new(),
@@ -84,36 +77,13 @@ impl<'p> Part<'p> {
 
     /// Looks at records, the first of which is the `first`-th of its block.
     fn look(&mut self, records: &[u8], schema: &Schema, shift: [i64; 3], first: u64, weight: u64) {
-        let record_bytes = schema.record_bytes as usize;
-        let (mut low, mut high) = ([i32::MAX; 3], [i32::MIN; 3]);
-        for record in records.chunks_exact(record_bytes) {
-            let position = record_coordinates(record);
-            for axis in 0..3 {
-                low[axis] = low[axis].min(position[axis]);
-                high[axis] = high[axis].max(position[axis]);
-            }
-        }
-        if let Some(offset) = color_offset(schema) {
-            for record in records.chunks_exact(record_bytes) {
-                let [r, g, b] = read_color(&record[offset..]);
-                self.color_union |= r | g | b;
-            }
-        }
+        self.seen.look(records, schema, shift);
         let shifted = |v: [i32; 3]| [0, 1, 2].map(|axis| i64::from(v[axis]) + shift[axis]);
-        let count = (records.len() / record_bytes) as u64;
-        if count > 0 {
-            let (low, high) = (shifted(low), shifted(high));
-            for axis in 0..3 {
-                self.min[axis] = self.min[axis].min(low[axis]);
-                self.max[axis] = self.max[axis].max(high[axis]);
-            }
-        }
         let next = first.next_multiple_of(weight) - first;
-        let sampled = records.chunks_exact(record_bytes).skip(next as usize);
+        let sampled = records.chunks_exact(schema.record_bytes as usize).skip(next as usize);
         self.sample.extend(
             sampled.step_by(weight as usize).map(|record| shifted(record_coordinates(record))),
         );
-        self.points += count;
     }
 
     /// Keeps records of a block, the first of which is its `first`-th.
@@ -148,10 +118,8 @@ impl Survey {
     /// Of nothing yet, for an input of so many blocks with about so many points.
     pub fn new(blocks: usize, expected_points: u64) -> Self {
         Survey {
-            points: 0,
-            min: [i64::MAX; 3],
-            max: [i64::MIN; 3],
-            color_union: 0,
+            all: Seen::default(),
+            verified: None,
             block_points: vec![0; blocks],
             sample: Vec::new(),
             // Not a power of two, so that it keeps no step with the scanner.
@@ -223,12 +191,7 @@ impl Survey {
     ) {
         let empty = Part { buffer: std::mem::take(&mut part.buffer), ..Part::new() };
         let part = std::mem::replace(part, empty);
-        self.points += part.points;
-        self.color_union |= part.color_union;
-        for axis in 0..3 {
-            self.min[axis] = self.min[axis].min(part.min[axis]);
-            self.max[axis] = self.max[axis].max(part.max[axis]);
-        }
+        self.all.join(&part.seen);
         self.sample.extend(part.sample);
         self.records.extend(part.records);
         held.extend(part.held);
@@ -238,14 +201,22 @@ impl Survey {
         }
     }
 
-    /// Bits per axis of a cube that holds all points and has at least `depth + 1` levels.
-    pub fn root_bits(&self, depth: u32) -> u32 {
-        let extent = (0..3)
-            .map(|axis| i128::from(self.max[axis]) - i128::from(self.min[axis]))
-            .max()
-            .unwrap_or(0)
-            .max(0);
-        (128 - extent.leading_zeros()).max(depth + 1)
+    /// Puts what was seen of the points in place of what headers claimed. False, and nothing, if
+    /// that changes the octree's root.
+    pub fn settle(&mut self, depth: u32) -> bool {
+        let Some(seen) = self.verified else { return true };
+        let has_same_root = seen.points == self.all.points
+            && seen.min == self.all.min
+            && seen.root_bits(depth) == self.all.root_bits(depth);
+        if has_same_root {
+            (self.all, self.verified) = (seen, None);
+        }
+        has_same_root
+    }
+
+    /// Bits of a colour's channels, if the points have one.
+    pub fn color_bits(&self, schema: &Schema) -> Option<u8> {
+        color_offset(schema).map(|_| if self.all.color_union > 0xff { 16 } else { 8 })
     }
 
     /// Input index of each block's first point.

@@ -61,6 +61,9 @@ pub struct ConvertArgs {
     /// Seconds between two notes of how far the work is, from which a killed run goes on
     #[arg(long, value_name = "SECONDS", default_value_t = 30.0, value_parser = parse_seconds)]
     checkpoint_seconds: f64,
+    /// Look at all points before sorting them, whatever bounds headers claim
+    #[arg(long, hide = true)]
+    read_twice: bool,
     /// How progress is shown on standard error
     #[arg(long, value_enum, default_value = "bar")]
     progress: ProgressKind,
@@ -86,6 +89,7 @@ pub fn run(args: ConvertArgs) -> anyhow::Result<ExitCode> {
         depth: args.depth.unwrap_or(0),
         threshold: args.threshold,
         representative: args.representative,
+        trust_headers: !args.read_twice,
         checkpoint_every: Duration::from_secs_f64(args.checkpoint_seconds),
         read: ReadOptions { columns: args.columns, salvage: args.salvage, temp_dir: args.temp_dir },
         ..ConvertOptions::default()

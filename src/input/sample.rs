@@ -8,7 +8,7 @@ use super::scan::{Block, ScanFormat};
 use super::scan_file::Scan;
 
 /// Records of a run: about as many as a page of memory, below which a read costs the same.
-const RUN_RECORDS: u64 = 64;
+pub const RUN_RECORDS: u64 = 64;
 /// Fewest points for which a chunk is begun, if it has so many.
 const LEAST_CHUNK_POINTS: u64 = 1000;
 

@@ -164,6 +164,9 @@ impl Block {
 /// What takes the records of a block: the index in the file of the first point, and whole records.
 pub type RecordSink<'a, E> = dyn FnMut(u64, &[u8]) -> Result<(), E> + 'a;
 
+/// Bytes of plain records that are read at once.
+const PIECE_BYTES: usize = 1 << 18;
+
 /// Memory of one reading thread; grows to a few MiB and is used again for every block.
 #[derive(Debug, Default)]
 pub struct BlockBuffer {
@@ -385,13 +388,21 @@ impl LasScan {
         buffer: &mut BlockBuffer,
         sink: &mut RecordSink<'_, Stop<E>>,
     ) -> Result<u64, Stop<E>> {
-        let bytes = (block.bytes.end - block.bytes.start) as usize;
-        if buffer.records.len() < bytes {
-            buffer.records.resize(bytes, 0);
+        let record_bytes = usize::from(self.header.record_bytes);
+        // In pieces that are still in the cache when they are looked at.
+        let piece_points = (PIECE_BYTES / record_bytes).max(1);
+        let most = (block.points as usize).min(piece_points) * record_bytes;
+        if buffer.records.len() < most {
+            buffer.records.resize(most, 0);
         }
-        let records = &mut buffer.records[..bytes];
-        self.file.read_exact_at(records, block.bytes.start)?;
-        sink(block.first_point, records)?;
+        let mut done = 0;
+        while done < block.points {
+            let points = (block.points - done).min(piece_points as u64);
+            let records = &mut buffer.records[..points as usize * record_bytes];
+            self.file.read_exact_at(records, block.bytes.start + done * record_bytes as u64)?;
+            sink(block.first_point + done, records)?;
+            done += points;
+        }
         Ok(block.points)
     }
 }

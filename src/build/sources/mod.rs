@@ -147,6 +147,16 @@ impl Sources {
         self.scans.iter().map(expected).fold(0, u64::saturating_add)
     }
 
+    /// Whether only some of the points are read.
+    pub fn is_sampled(&self) -> bool {
+        self.sample.is_some()
+    }
+
+    /// Whether what cannot be read is left out.
+    pub fn salvages(&self) -> bool {
+        self.salvage
+    }
+
     /// Whether reading means decompressing.
     pub fn are_compressed(&self) -> bool {
         self.scans.iter().any(|source| source.scan.is_compressed())

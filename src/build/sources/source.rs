@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::OnceLock;
 
-use crate::build::sources::adapt::Adapter;
+use crate::build::sources::adapt::{Adapter, Coordinates};
 use crate::build::sources::stored::Stored;
 use crate::input::{Block, BlockBuffer, ForeignFault, RecordSink, Scan, ScanError};
 
@@ -31,6 +31,12 @@ impl Source {
     /// Why some of it could not be read, if damaged parts are left out.
     pub(super) fn fault(&self) -> Option<&String> {
         self.fault.get()
+    }
+
+    /// Whether its coordinates are the store's, up to a shift.
+    pub fn keeps_coordinates(&self) -> bool {
+        let adapter = self.adapter.as_ref();
+        adapter.is_none_or(|adapter| matches!(adapter.coordinates, Coordinates::Keep))
     }
 
     /// The file.

@@ -15,7 +15,7 @@ use esker::build::{AppendReport, BuildError, ConvertOptions, Silent, append, con
 use esker::ids::NodeId;
 use esker::store::{HEADER_BYTES, SLOT_BYTES, Store, check};
 use glam::UVec3;
-use las_file::{LasPoint, RECORD_BYTES, las_bytes, record, write_las};
+use las_file::{GPS_TIME_OFFSET, LasPoint, RECORD_BYTES, las_bytes, record, write_las};
 
 fn random(state: &mut u64) -> u64 {
     *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -76,15 +76,25 @@ fn nodes(store: &Store) -> Vec<(u32, UVec3, Vec<u32>)> {
     nodes.map(|node| (node.depth, node.cell, node.levels.totals().to_vec())).collect()
 }
 
-/// All records, sorted.
-fn records(store: &Store) -> Vec<Vec<u8>> {
+/// All records as they were in the scans, each with its source, sorted.
+fn records_with_sources(store: &Store) -> Vec<(Vec<u8>, u16)> {
     let (mut all, mut records) = (Vec::new(), Vec::new());
     for node in 0..store.octree().nodes().len() as u32 {
         store.read_records(NodeId(node), &mut records).expect("the node reads");
-        all.extend(records.chunks_exact(RECORD_BYTES).map(<[u8]>::to_vec));
+        let record_bytes = store.metadata().schema.record_bytes as usize;
+        all.extend(records.chunks_exact(record_bytes).map(|record| {
+            let (record, source) = record.split_at(RECORD_BYTES);
+            let source = source.try_into().map_or(0, u16::from_le_bytes);
+            (record.to_vec(), source)
+        }));
     }
     all.sort_unstable();
     all
+}
+
+/// All records, sorted.
+fn records(store: &Store) -> Vec<Vec<u8>> {
+    records_with_sources(store).into_iter().map(|(record, _)| record).collect()
 }
 
 /// Points beyond one per finest cell of their node, counted.
@@ -150,6 +160,17 @@ fn the_octree_is_that_of_all_points_converted_together() {
             assert_eq!(facts(&together), facts(&store), "{case}");
             assert_eq!(store.metadata().overflow_points, overflow(&store), "{case}");
             assert_eq!(store.metadata().sources.len(), 3, "{case}");
+            // The points of each file are told apart, those of the first by a column of no bytes.
+            let source = |i: u64| (i >= first as u64) as u16 + (i >= half as u64) as u16;
+            let told = records_with_sources(&store).into_iter().all(|(record, told)| {
+                let time = record[GPS_TIME_OFFSET..28].try_into().expect("8 bytes");
+                told == source(f64::from_le_bytes(time) as u64)
+            });
+            assert!(told, "{case}: a point of another source");
+            let column = store.metadata().sections.len() - 1;
+            let ids = (0..store.octree().nodes().len() as u32).map(NodeId);
+            let empty = ids.filter(|&id| store.section_extent(id, column).bytes == 0).count();
+            assert_eq!(store.header().version, if empty > 0 { 3 } else { 2 }, "{case}");
         }
     }
 }
@@ -250,6 +271,74 @@ fn a_store_that_is_outgrown_is_written_anew() {
 }
 
 #[test]
+fn a_finer_lattice_that_holds_both_is_taken() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let file = |name: &str| folder.path().join(name);
+    let (points, finer) = (cloud(1, 600, 5), cloud(0, 500, 6));
+    let offset = [500.0, -3.0, 0.5];
+    std::fs::write(file("a.las"), las_bytes(&points, 0, 0.01, offset)).unwrap();
+    std::fs::write(file("b.las"), las_bytes(&finer, 600, 0.004, [500.0, -3.0, 0.75])).unwrap();
+    converted(&[file("a.las")], &file("a.esker"));
+    let report = appended(&file("a.esker"), &[file("b.las")], &options()).expect("it is added");
+    assert!(report.rebuilt);
+    assert_eq!(check(&file("a.esker")).unwrap().findings, []);
+    let store = Store::open(&file("a.esker")).unwrap();
+    assert_eq!(store.metadata().scale, [0.002; 3]);
+    let mut expected: Vec<(Vec<u8>, u16)> = Vec::new();
+    let scaled = |p: &LasPoint, factor: i32, up: i32| LasPoint {
+        position: [p.position[0] * factor, p.position[1] * factor, p.position[2] * factor + up],
+        ..*p
+    };
+    expected.extend((0..).zip(&points).map(|(i, p)| (record(&scaled(p, 5, 0), i).to_vec(), 0)));
+    let finer = (600..).zip(&finer);
+    expected.extend(finer.map(|(i, p)| (record(&scaled(p, 2, 125), i).to_vec(), 1)));
+    expected.sort_unstable();
+    assert!(records_with_sources(&store) == expected);
+    // Back onto steps that are multiples of the store's: in place.
+    let again = appended(&file("a.esker"), &[file("a.las")], &options()).expect("it is added");
+    assert!(!again.rebuilt);
+    assert_eq!(check(&file("a.esker")).unwrap().findings, []);
+}
+
+#[test]
+fn unused_bytes_go_when_they_are_many_or_not_wanted() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let file = |name: &str| folder.path().join(name);
+    let points = cloud(0, 4000, 5);
+    std::fs::write(file("a.las"), las_bytes(&points[..2000], 0, 0.001, [0.0; 3])).unwrap();
+    converted(&[file("a.las")], &file("a.esker"));
+    std::fs::copy(file("a.esker"), file("b.esker")).unwrap();
+    let (mut most, mut compactions) = (0, 0);
+    for (i, part) in points[2000..].chunks(100).enumerate() {
+        let name = file(&format!("part{i}.las"));
+        std::fs::write(&name, las_bytes(part, 2000 + 100 * i as u64, 0.001, [0.0; 3])).unwrap();
+        let mostly_used = ConvertOptions { compact_above: 0.8, ..options() };
+        let report = appended(&file("a.esker"), &[name], &mostly_used).expect("it is added");
+        let store = Store::open(&file("a.esker")).unwrap();
+        assert_eq!(report.unused_bytes, store.unused_bytes());
+        assert_eq!(report.output_bytes, store.header().file_bytes);
+        assert!(report.unused_bytes <= report.output_bytes / 5 * 4, "part {i}");
+        most = most.max(report.unused_bytes);
+        if report.compacted {
+            compactions += 1;
+            assert_eq!(report.unused_bytes, 0);
+            assert_eq!(store.header().generation, 1);
+        }
+        assert_eq!(check(&file("a.esker")).unwrap().findings, [], "part {i}");
+    }
+    assert!(most > 0 && (1..15).contains(&compactions), "{compactions} compactions");
+    // The same points, wherever they stand, and the same again without any unused byte.
+    let parts: Vec<PathBuf> = (0..20).map(|i| file(&format!("part{i}.las"))).collect();
+    let tidy = ConvertOptions { compact_above: 0.0, ..options() };
+    let report = appended(&file("b.esker"), &parts, &tidy).expect("it is added");
+    assert!(report.compacted && report.unused_bytes == 0);
+    assert_eq!(check(&file("b.esker")).unwrap().findings, []);
+    let (a, b) = (Store::open(&file("a.esker")).unwrap(), Store::open(&file("b.esker")).unwrap());
+    assert!(records_with_sources(&a) == records_with_sources(&b));
+    assert!(!file(".b.esker.part").exists());
+}
+
+#[test]
 fn a_failing_disk_at_any_write_leaves_the_store_as_it_was() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let file = |name: &str| folder.path().join(name);
@@ -286,7 +375,8 @@ fn a_change_that_was_cut_off_is_none() {
     converted(&[file("a.las")], &file("a.esker"));
     let old = Store::open(&file("a.esker")).unwrap();
     let (old_nodes, old_bytes) = (nodes(&old), old.header().file_bytes);
-    appended(&file("a.esker"), &[file("b.las")], &options()).unwrap();
+    let in_place = ConvertOptions { compact_above: 1.0, ..options() };
+    appended(&file("a.esker"), &[file("b.las")], &in_place).unwrap();
     let whole = std::fs::read(file("a.esker")).unwrap();
     // As if the power had gone before the header was written, and while it was.
     for torn in [0, 60] {
@@ -297,7 +387,7 @@ fn a_change_that_was_cut_off_is_none() {
             let cut = Store::open(&file("cut.esker")).expect("the old store opens");
             assert_eq!(nodes(&cut), old_nodes);
             assert!(!check(&file("cut.esker")).unwrap().findings.is_empty(), "leftovers are told");
-            appended(&file("cut.esker"), &[file("b.las")], &options()).unwrap();
+            appended(&file("cut.esker"), &[file("b.las")], &in_place).unwrap();
             assert!(std::fs::read(file("cut.esker")).unwrap() == whole, "done again, all is well");
         }
     }

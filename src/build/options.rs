@@ -39,6 +39,10 @@ pub struct ConvertOptions {
     /// Take the bounds in the headers of plain LAS files at their word until the points are sorted,
     /// and begin again where they were wrong. Saves a pass over the input; the output is the same.
     pub trust_headers: bool,
+    /// Share of a store's bytes, 0 to 1, above which those that it no longer uses after an addition
+    /// make it be written anew without them. Default a half: that costs no more than all additions
+    /// before.
+    pub compact_above: f64,
     /// Called before every write to disk; its error is the write's. For tests.
     pub before_write: Option<BeforeWrite>,
 }
@@ -56,6 +60,7 @@ impl fmt::Debug for ConvertOptions {
             .field("read", &self.read)
             .field("checkpoint_every", &self.checkpoint_every)
             .field("trust_headers", &self.trust_headers)
+            .field("compact_above", &self.compact_above)
             .finish_non_exhaustive()
     }
 }
@@ -73,6 +78,7 @@ impl Default for ConvertOptions {
             read: ReadOptions::default(),
             checkpoint_every: Duration::from_secs(30),
             trust_headers: true,
+            compact_above: 0.5,
             before_write: None,
         }
     }

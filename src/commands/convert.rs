@@ -29,6 +29,10 @@ pub struct ConvertArgs {
     /// Add the points of the scans to this store, in place
     #[arg(long, value_name = "STORE", conflicts_with_all = ["output", "overwrite", "depth", "threshold"])]
     append: Option<PathBuf>,
+    /// With --append: write the store anew afterwards, without the bytes it no longer uses
+    /// [default: when these are more than the others]
+    #[arg(long, requires = "append")]
+    compact: bool,
     /// Most memory to use, such as 4GiB [default: half of what there is]
     #[arg(long, value_parser = parse_bytes)]
     memory: Option<u64>,
@@ -90,6 +94,7 @@ pub fn run(args: ConvertArgs) -> anyhow::Result<ExitCode> {
         threshold: args.threshold,
         representative: args.representative,
         trust_headers: !args.read_twice,
+        compact_above: if args.compact { 0.0 } else { ConvertOptions::default().compact_above },
         checkpoint_every: Duration::from_secs_f64(args.checkpoint_seconds),
         read: ReadOptions { columns: args.columns, salvage: args.salvage, temp_dir: args.temp_dir },
         ..ConvertOptions::default()
@@ -181,7 +186,7 @@ fn tell_append(
         println!("{json}");
     } else {
         if report.rebuilt {
-            println!("the new points reach beyond the store's cube: all of it was written anew");
+            println!("the store could not hold the new points: all of it was written anew");
         }
         println!(
             "{}: {} points added, {} now in {} nodes, {} of them written ({}), {seconds:.2} s, \

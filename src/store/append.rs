@@ -13,6 +13,7 @@ use glam::UVec3;
 use crate::geometry::MortonKey;
 use crate::ids::NodeId;
 use crate::store::bytes::StoreBytes;
+use crate::store::directory::SectionExtent;
 use crate::store::ending::{EndParts, write_end};
 use crate::store::header::{HEADER_BYTES, Header};
 use crate::store::metadata::Metadata;
@@ -81,6 +82,12 @@ impl<'a> StoreAppender<'a> {
             is_finished: false,
         };
         Ok((appender, store))
+    }
+
+    /// Gives all nodes that are there so many sections; those that they lack are zeros.
+    pub fn widen(&mut self, sections: usize) {
+        let empty = SectionExtent { bytes: 0, checksum: 0 };
+        self.nodes.values_mut().for_each(|node| node.sections.resize(sections, empty));
     }
 
     /// Takes a new node, or one in place of the node of that cell.

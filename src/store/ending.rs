@@ -7,7 +7,7 @@ use std::io::{self, Read, Seek, SeekFrom, Write};
 use glam::UVec3;
 
 use crate::store::directory::{Row, Rows};
-use crate::store::header::{Header, PartExtent, VERSION};
+use crate::store::header::{FULL_VERSION, Header, PartExtent, VERSION};
 use crate::store::metadata::Metadata;
 use crate::store::writer::{AppendixPart, NodeRow, PlacedNode, WriteHook};
 
@@ -35,7 +35,10 @@ pub(super) fn write_end(
     before_write: WriteHook,
 ) -> io::Result<Header> {
     let metadata_bytes = serde_json::to_vec(parts.metadata)?;
-    let directory = directory_bytes(nodes, parts.metadata);
+    // The oldest that says what the store holds, so that the oldest program reads it.
+    let has_empty = nodes.iter().any(|node| node.sections.iter().any(|s| s.bytes == 0));
+    let version = if has_empty { VERSION } else { FULL_VERSION };
+    let directory = directory_bytes(nodes, parts.metadata, version);
     let part = |offset: u64, bytes: &[u8]| PartExtent {
         offset,
         bytes: bytes.len() as u64,
@@ -49,7 +52,7 @@ pub(super) fn write_end(
     file.write_all(&directory)?;
     let (appendix_bytes, checksum) = copy_appendix(parts.appendix, &mut file)?;
     Ok(Header {
-        version: VERSION,
+        version,
         generation: parts.generation,
         file_bytes: appendix_offset + appendix_bytes,
         metadata,
@@ -63,7 +66,7 @@ pub(super) fn write_end(
 }
 
 /// All rows; nodes stand in their order.
-fn directory_bytes(nodes: &[&PlacedNode], metadata: &Metadata) -> Vec<u8> {
+fn directory_bytes(nodes: &[&PlacedNode], metadata: &Metadata, version: u32) -> Vec<u8> {
     let place = |node: &PlacedNode| (node.row.depth, node.row.cell);
     let index: HashMap<(u32, UVec3), usize> =
         nodes.iter().enumerate().map(|(i, &node)| (place(node), i)).collect();
@@ -73,7 +76,7 @@ fn directory_bytes(nodes: &[&PlacedNode], metadata: &Metadata) -> Vec<u8> {
         masks[*parent] |= 1 << (cell.x & 1 | (cell.y & 1) << 1 | (cell.z & 1) << 2);
     }
     let section_count = metadata.sections.len();
-    let shape = Rows { version: VERSION, depth: metadata.depth, section_count };
+    let shape = Rows { version, depth: metadata.depth, section_count };
     let mut rows = Vec::with_capacity(nodes.len() * shape.row_bytes());
     for (&PlacedNode { row, sections, offset }, child_mask) in nodes.iter().zip(masks) {
         let row = Row {

@@ -6,7 +6,9 @@
 /// The first eight bytes of every store.
 pub const MAGIC: [u8; 8] = *b"ESKER\r\n\x1a";
 /// The version this program writes; it reads this one and those before.
-pub const VERSION: u32 = 2;
+pub const VERSION: u32 = 3;
+/// The version of stores in which every section has bytes.
+pub const FULL_VERSION: u32 = 2;
 /// Size of one slot, bytes; all of the header in version 1.
 pub const SLOT_BYTES: usize = 128;
 /// Size of the header, bytes.

@@ -9,6 +9,7 @@ mod blocks;
 mod bytes;
 mod check;
 mod codec;
+mod compact;
 mod directory;
 mod early_sync;
 mod ending;
@@ -28,10 +29,13 @@ pub use blocks::encode_section;
 pub use bytes::StoreBytes;
 pub use check::{CheckReport, Finding, check};
 pub use codec::{CodecScratch, ElementShape, Filter};
+pub use compact::compact;
 pub use directory::SectionExtent;
 pub use error::{NodeReadError, StoreError};
 pub use fetched::FetchedNode;
-pub use header::{FoundHeader, HEADER_BYTES, Header, MAGIC, PartExtent, SLOT_BYTES, VERSION};
+pub use header::{
+    FULL_VERSION, FoundHeader, HEADER_BYTES, Header, MAGIC, PartExtent, SLOT_BYTES, VERSION,
+};
 pub use metadata::{
     CrsInfo, DroppedPoints, Metadata, NARROW_BITS, PoseInfo, Section, SectionContent, SkippedItems,
     SourceInfo, ValueRange, position_shape, sections_for,

@@ -3,8 +3,8 @@
 use crate::ids::NodeId;
 use crate::octree::Octree;
 use crate::store::directory::SectionExtent;
-use crate::store::header::{HEADER_BYTES, Header};
-use crate::store::metadata::{Metadata, SectionContent, position_shape};
+use crate::store::header::{FULL_VERSION, HEADER_BYTES, Header};
+use crate::store::metadata::{Metadata, Section, SectionContent, position_shape};
 
 /// Version 1: start of each node's data; an error if the extents do not fill the data part exactly.
 pub(super) fn place_in_order(
@@ -51,9 +51,20 @@ pub(super) fn check_places(
     if total == header.data_bytes { Ok(offsets) } else { Err("the nodes do not add up".into()) }
 }
 
+/// Whether a section of no bytes is a column of zeros. Only short elements: as many bytes as their
+/// points' positions, which cannot be empty, are no more than memory was taken for anyway.
+fn may_be_empty(version: u32, section: &Section) -> bool {
+    let is_attribute = matches!(section.content, SectionContent::Attribute(_));
+    version > FULL_VERSION && is_attribute && section.shape.bytes() <= MOST_EMPTY_BYTES
+}
+
+/// Longest element of a section of no bytes.
+const MOST_EMPTY_BYTES: usize = 8;
+
 /// LZ4 expands a byte to at most 255, so a section that claims more than its stored bytes can hold
 /// is refused before memory is taken for it.
 pub(super) fn refuse_impossible_counts(
+    header: &Header,
     octree: &Octree,
     metadata: &Metadata,
     extents: &[SectionExtent],
@@ -66,6 +77,11 @@ pub(super) fn refuse_impossible_counts(
                 SectionContent::Positions => position_shape(octree.local_bits(id)),
                 _ => section.shape,
             };
+            if extent.bytes | u64::from(extent.checksum) == 0
+                && may_be_empty(header.version, section)
+            {
+                continue;
+            }
             if points * shape.bytes() as u64 > extent.bytes.saturating_mul(255) {
                 return Err(format!("node {i}: {points} points do not fit {} bytes", extent.bytes));
             }

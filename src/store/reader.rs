@@ -168,7 +168,7 @@ impl Store {
             _ => check_places(&header, offsets, &extents, metadata.sections.len()),
         };
         let node_offsets = node_offsets.map_err(of_directory)?;
-        refuse_impossible_counts(&octree, &metadata, &extents).map_err(of_directory)?;
+        refuse_impossible_counts(&header, &octree, &metadata, &extents).map_err(of_directory)?;
         if octree.point_count() != header.point_count || metadata.points != header.point_count {
             let reason = format!(
                 "{} points in the directory, {} in the metadata, {} in the header",

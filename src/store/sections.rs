@@ -187,6 +187,11 @@ impl Store {
         let first = node.index() * self.metadata.sections.len();
         let before: u64 = self.extents[first..first + section].iter().map(|e| e.bytes).sum();
         let extent = self.extents[first + section];
+        if extent.bytes == 0 {
+            // A column of zeros; where there may be none, the store was not opened.
+            raw.fill(0);
+            return Ok(());
+        }
         let start = self.node_offsets[node.index()] + before;
         let end = start + extent.bytes;
         let level = self.octree.node(node).depth;

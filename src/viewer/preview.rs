@@ -16,9 +16,11 @@ use crate::store::Store;
 /// Points of the first preview where nothing else is said: enough to fill a window, and made in a
 /// few tens of milliseconds.
 pub const FIRST_PREVIEW_POINTS: u64 = 250_000;
+/// Largest part of all points that a first preview has.
+const FIRST_PREVIEW_PART: u64 = 12;
 /// All previews together may cost a fifth of the conversion. A preview costs about what converting
-/// as many points does; the last one is that part of all, those before are half of it at most.
-const LAST_PREVIEW_PART: u64 = 12;
+/// as many points does, and where processors draw as much again; the last one is that part of all.
+const LAST_PREVIEW_PART: u64 = 24;
 /// More points than this make no finer picture of the whole.
 const MOST_PREVIEW_POINTS: u64 = 4_000_000;
 /// How many times more points each preview has.
@@ -31,12 +33,14 @@ const MOST_BYTES_IN_MEMORY: u64 = 48 << 20;
 pub fn preview_sizes(points: u64, first: u64) -> Vec<u64> {
     let mut sizes = Vec::new();
     if first > 0 && points >= 2 * first {
-        let mut size = (points / LAST_PREVIEW_PART).min(MOST_PREVIEW_POINTS.max(first)).max(1);
-        sizes.push(size);
-        while size > 2 * first {
-            size = (size / GROWTH).max(first);
+        let first = first.min(points / FIRST_PREVIEW_PART).max(1);
+        let mut size = (points / LAST_PREVIEW_PART).min(MOST_PREVIEW_POINTS.max(first));
+        // One that is hardly finer than the one before is none.
+        while size > first + first / 2 {
             sizes.push(size);
+            size = (size / GROWTH).max(first);
         }
+        sizes.push(first);
     }
     sizes.reverse();
     sizes
@@ -93,7 +97,7 @@ mod tests {
 
     #[test]
     fn previews_grow_and_cost_little() {
-        assert_eq!(preview_sizes(10_653_336, 250_000), [250_000, 887_778]);
+        assert_eq!(preview_sizes(10_653_336, 250_000), [250_000, 443_889]);
         assert_eq!(preview_sizes(200_000_000, 250_000), [250_000, 1_000_000, 4_000_000]);
         assert_eq!(preview_sizes(2_000_000, 250_000), [166_666]);
         assert_eq!(preview_sizes(499_999, 250_000), [0; 0]);

@@ -24,7 +24,9 @@ use crate::build::sort::{Item, SortScratch, sort_rows};
 use crate::build::sources::Sources;
 use crate::geometry::MortonKey;
 use crate::ids::NodeId;
-use crate::store::{AppendixPart, CrsInfo, Metadata, SourceInfo, Store, StoreAppender, ValueRange};
+use crate::store::{
+    AppendixPart, CrsInfo, Metadata, SourceInfo, Store, StoreAppender, ValueRange, compact,
+};
 use arrivals::{Arrivals, joined, read_arrivals};
 use grow::{Grown, Growth, Sink, Task};
 
@@ -47,8 +49,11 @@ pub struct AppendReport {
     pub bytes_written: u64,
     /// Bytes of the store that are no longer in use.
     pub unused_bytes: u64,
-    /// Whether the whole store was written anew, because the new points reach beyond its cube.
+    /// Whether the whole store was written anew, because the new points reach beyond its cube, need
+    /// finer steps or wider colours.
     pub rebuilt: bool,
+    /// Whether it was written anew afterwards, without unused bytes.
+    pub compacted: bool,
     /// The parts of the work in order, with their times.
     pub stages: Vec<StageTime>,
     /// The new sources: how many points came in, and what became of them.
@@ -60,8 +65,9 @@ pub struct AppendReport {
 /// Adds the points of scans to a store.
 ///
 /// They count as inserted after those that are there. The store is the old one until all is done,
-/// and stays it if something fails. Scans must fit its lattice and layout; if they reach beyond its
-/// root cube the whole store is written anew.
+/// and stays it if something fails. A store of a single source gets the attribute `source`, zeros for
+/// the points it has. Scans must fit its layout; if they reach beyond its root cube, or are exact only
+/// on a finer lattice, the whole store is written anew.
 pub fn append(
     store: &Path,
     inputs: &[PathBuf],
@@ -77,24 +83,34 @@ pub fn append(
     })?;
     pool.install(|| {
         let before_write = || options.before_write.as_ref().map_or(Ok(()), |hook| hook());
-        let (appender, opened) = StoreAppender::open(store, &before_write)?;
-        let sources = Sources::open_onto(inputs, &options.read, opened.metadata())?;
-        let addition = Addition { sources: &sources, options, progress, cancelled };
-        if opened.metadata().points == 0 {
-            let reason = "it is empty: convert the scans instead".into();
-            return Err(BuildError::Append { reason, path: store.into() });
-        }
-        let outcome = if opened.metadata().root_bits <= u64::MAX_BITS {
-            addition.run::<u64>(appender, opened)
-        } else {
-            addition.run::<u128>(appender, opened)
-        };
-        match outcome {
-            Err(BuildError::Outgrown { .. }) => {
-                rebuild(store, inputs, options, progress, cancelled)
+        let add = || -> Result<AppendReport, BuildError> {
+            let (mut appender, opened) = StoreAppender::open(store, &before_write)?;
+            if opened.metadata().points == 0 {
+                let reason = "it is empty: convert the scans instead".into();
+                return Err(BuildError::Append { reason, path: store.into() });
             }
-            outcome => outcome,
+            let (sources, target) = Sources::open_onto(inputs, &options.read, opened.metadata())?;
+            appender.widen(target.sections.len());
+            let addition = Addition { sources: &sources, options, progress, cancelled };
+            if target.root_bits <= u64::MAX_BITS {
+                addition.run::<u64>(appender, opened, target)
+            } else {
+                addition.run::<u128>(appender, opened, target)
+            }
+        };
+        let mut report = match add() {
+            Err(BuildError::Outgrown { .. }) => {
+                rebuild(store, inputs, options, progress, cancelled)?
+            }
+            outcome => outcome?,
+        };
+        let most = options.compact_above * report.output_bytes as f64;
+        if report.unused_bytes as f64 > most {
+            report.output_bytes = compact(store, &before_write)?;
+            report.bytes_written += report.output_bytes;
+            (report.unused_bytes, report.compacted) = (0, true);
         }
+        Ok(report)
     })
 }
 
@@ -127,6 +143,7 @@ fn rebuild(
         bytes_written: report.output_bytes,
         unused_bytes: 0,
         rebuilt: true,
+        compacted: false,
         stages: report.stages,
         sources: report.sources[known..].to_vec(),
         warnings: report.warnings,
@@ -150,9 +167,10 @@ impl Addition<'_> {
         &self,
         mut appender: StoreAppender,
         mut store: Store,
+        old: Metadata,
     ) -> Result<AppendReport, BuildError> {
         let mut clock = Clock::new(self.progress);
-        let (sources, old) = (self.sources, store.metadata().clone());
+        let sources = self.sources;
         let old_bytes = store.header().file_bytes;
         let blocks = sources.blocks();
         let expected = sources.expected_points();
@@ -221,6 +239,7 @@ impl Addition<'_> {
             bytes_written: header.file_bytes - old_bytes,
             unused_bytes: store.unused_bytes(),
             rebuilt: false,
+            compacted: false,
             stages: clock.finish(),
             sources: described.infos,
             warnings,
@@ -237,6 +256,7 @@ impl Addition<'_> {
         appender: &mut StoreAppender,
     ) -> Result<u64, BuildError> {
         const PAGE_SHIFT: u32 = 16;
+        let (schema, sections) = (metadata.schema.clone(), metadata.sections.clone());
         let pages: Vec<&[u8]> = arrivals.rows.chunks(layout.stride() << PAGE_SHIFT).collect();
         let table = RowTable::new(&pages, PAGE_SHIFT, layout);
         let mut items: Vec<Item<K>> = Vec::new();
@@ -247,8 +267,8 @@ impl Addition<'_> {
             threshold: metadata.threshold as usize,
             representative: self.options.representative,
             encoding: Encoding {
-                schema: &store.metadata().schema,
-                sections: &store.metadata().sections,
+                schema: &schema,
+                sections: &sections,
                 color_bits: metadata.color_bits,
             },
         };

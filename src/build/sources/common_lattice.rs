@@ -232,7 +232,7 @@ pub fn fit_onto(wish: &Wish, lattice: Lattice, residual: Option<Scalar>) -> Fit 
 }
 
 /// Factor and shift that take integers on `own` to integers on `store`, if whole numbers do.
-fn whole_multiple(store: &Lattice, own: &Lattice) -> Option<([i64; 3], [i64; 3])> {
+pub fn whole_multiple(store: &Lattice, own: &Lattice) -> Option<([i64; 3], [i64; 3])> {
     let factor = own.scale / store.scale;
     let shift = (own.offset - store.offset) / store.scale;
     let whole = |v: DVec3, tolerance: f64| {

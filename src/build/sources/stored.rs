@@ -11,8 +11,11 @@ use glam::DVec3;
 
 use crate::build::BuildError;
 use crate::build::progress::PointSample;
-use crate::build::sources::onto::sources_onto;
-use crate::build::sources::{Source, Sources};
+use crate::build::sources::adapt::{Adapter, Coordinates};
+use crate::build::sources::common_lattice::whole_multiple;
+use crate::build::sources::layout::Move;
+use crate::build::sources::onto::{lattice_with, sources_onto, with_sources};
+use crate::build::sources::{Source, Sources, open_scans};
 use crate::ids::NodeId;
 use crate::input::{
     Column, CoordinateKind, Crs, ForeignFacts, ForeignFault, ForeignReader, ForeignScan,
@@ -37,18 +40,39 @@ impl Sources {
         paths: &[PathBuf],
         options: &ReadOptions,
     ) -> Result<Self, BuildError> {
-        let mut scans = sources_onto(paths, options, store.metadata())?;
-        let schema = store.metadata().schema.clone();
+        let scans = open_scans(paths, options)?;
+        let (own, target) = (store.metadata().lattice(), with_sources(store.metadata(), &scans));
+        let lattice = lattice_with(store.metadata(), &scans);
+        let mut scans = sources_onto(scans, &target, lattice).map_err(|error| match error {
+            // No lattice holds all of them.
+            BuildError::Outgrown { reason, path } => BuildError::Append { reason, path },
+            error => error,
+        })?;
         let appendix = store.header().appendix;
         let stored = Stored {
             infos: store.metadata().sources.clone(),
             appendix: (appendix.offset, appendix.bytes),
         };
         let (path, bytes) = (store.path().to_path_buf(), store.header().file_bytes);
-        let lattice = store.metadata().lattice();
+        let old_bytes = store.metadata().schema.record_bytes as usize;
+        let schema = target.schema;
         let mut scan = ForeignScan::new(&path, bytes, Box::new(StoredReader::new(store)))?;
-        scan.place(Placing { lattice, residual: None });
-        let first = source_of(scan, Some(stored));
+        scan.place(Placing { lattice: own, residual: None });
+        let mut first = source_of(scan, Some(stored));
+        if own != lattice || old_bytes != schema.record_bytes as usize {
+            let coordinates = match whole_multiple(&lattice, &own) {
+                Some((factor, shift)) => Coordinates::Scale { factor, shift },
+                None => Coordinates::Keep,
+            };
+            let bytes = old_bytes - COORDINATE_BYTES;
+            first.adapter = Some(Adapter {
+                source_bytes: old_bytes,
+                store_bytes: schema.record_bytes as usize,
+                coordinates,
+                moves: vec![Move::Copy { from: COORDINATE_BYTES, to: COORDINATE_BYTES, bytes }],
+                source_place: None,
+            });
+        }
         scans.insert(0, first);
         Ok(Sources { scans: scans.into(), schema, lattice, sample: None, salvage: options.salvage })
     }

@@ -157,7 +157,8 @@ impl Renderer {
                 });
                 // What is frozen is drawn as it was chosen; nothing is asked.
                 let mut culling = self.culling.as_deref_mut().filter(|_| !is_frozen);
-                let has_points = culling.as_ref().is_some_and(|culling| culling.has_points);
+                let has_points =
+                    culling.as_ref().is_some_and(|c| c.draws_points(&self.sources, view));
                 let (draws, ready) = match has_points {
                     true => draws_by_node(&self.table, |node| self.cache.contains(node)),
                     false => Default::default(),
@@ -181,6 +182,10 @@ impl Renderer {
                     culling.note(&self.sources, culled.as_ref());
                 }
                 if let Some(culled) = &culled {
+                    // Rounds have another price than the cut that was expected.
+                    if let Some(pacer) = &mut self.pacer {
+                        pacer.next = None;
+                    }
                     let draws = || culled.draws.iter().map(|&at| &self.table.draws[at as usize]);
                     self.stats.points_drawn = draws().map(|draw| self.table.points_of(draw)).sum();
                     self.stats.nodes_drawn = culled.draws.len() as u32;

@@ -103,8 +103,11 @@ impl Gpu {
     ///
     /// The variables of wgpu (`WGPU_BACKEND` and others) are obeyed.
     pub fn open() -> Result<Gpu, GpuError> {
-        let instance =
-            wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
+        let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle_from_env();
+        // Arguments of draws in buffers are all our own. Their check is a dispatch before each pass
+        // that draws by them, of which culling in rounds has several a frame.
+        descriptor.flags.remove(wgpu::InstanceFlags::VALIDATION_INDIRECT_CALL);
+        let instance = wgpu::Instance::new(descriptor);
         let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
         adapters.sort_by_key(adapter_preference);
         let mut refusal = GpuError::NoAdapter;

@@ -198,8 +198,12 @@ fn pipeline(
             compilation_options: Default::default(),
             buffers: &[],
         },
-        // Both sides: a box is closed, and its front may be cut away.
-        primitive: wgpu::PrimitiveState::default(),
+        // Fronts alone: a box that is asked about lies behind the near plane, so wherever its back would
+        // show, its front does.
+        primitive: wgpu::PrimitiveState {
+            cull_mode: Some(wgpu::Face::Back),
+            ..wgpu::PrimitiveState::default()
+        },
         depth_stencil: Some(wgpu::DepthStencilState {
             depth_write_enabled: Some(false),
             ..Targets::depth_state(wgpu::CompareFunction::GreaterEqual)

@@ -47,14 +47,14 @@ fn methods() -> Vec<(&'static str, FrameSettings)> {
     let with = |culling| FrameSettings { culling, ..FrameSettings::default() };
     let by_pyramid = |culling| FrameSettings { answers: CullingAnswers::Pyramid, ..with(culling) };
     let (chc, plus) = (ChcOptions::default(), ChcPlusOptions::default());
-    let (late, more) = (LateAnswers::NextFrame, LateAnswers::Rounds(16));
+    let (late, few) = (LateAnswers::NextFrame, LateAnswers::Rounds(4));
     vec![
         ("frustum", with(Algorithm::Frustum)),
         ("stop-and-wait", with(Algorithm::StopAndWait)),
         ("a frame late", with(Algorithm::Chc(ChcOptions { late, ..chc }))),
         ("chc", with(Algorithm::Chc(chc))),
         ("chc++", with(Algorithm::ChcPlus(plus))),
-        ("chc++, 16 rounds", with(Algorithm::ChcPlus(ChcPlusOptions { late: more, ..plus }))),
+        ("chc++, 4 rounds", with(Algorithm::ChcPlus(ChcPlusOptions { late: few, ..plus }))),
         ("chc++, pyramid", by_pyramid(Algorithm::ChcPlus(plus))),
         ("two-pass", with(Algorithm::TwoPass)),
         ("auto", with(Algorithm::Auto(plus, CullingCosts::default()))),

@@ -31,6 +31,15 @@ pub(super) fn part_path(destination: &Path) -> Option<PathBuf> {
     Some(destination.with_file_name(format!(".{name}.part")))
 }
 
+/// Brings the name of a file to disk, which its folder holds: else the power may go after a store was
+/// said to be done, and the store with it. Systems that cannot do that for folders have no need to.
+fn sync_folder_of(path: &Path) {
+    if cfg!(unix) {
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+        let _ = File::open(folder.unwrap_or(Path::new("."))).and_then(|folder| folder.sync_all());
+    }
+}
+
 /// A file being written beside its destination. Its name follows from the destination's, so that
 /// what a killed run left is found, to go on with or to remove; a lock keeps two runs apart.
 pub(super) struct PartFile {
@@ -82,6 +91,12 @@ impl PartFile {
 
     /// Gives the file its name, which nothing else may have unless `overwrite`.
     pub fn rename(self, destination: &Path, overwrite: bool) -> io::Result<()> {
+        self.give_name(destination, overwrite)?;
+        sync_folder_of(destination);
+        Ok(())
+    }
+
+    fn give_name(&self, destination: &Path, overwrite: bool) -> io::Result<()> {
         if overwrite {
             return std::fs::rename(&self.path, destination);
         }

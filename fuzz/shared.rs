@@ -17,12 +17,14 @@ use esker::store::{self, Store};
 pub enum Outcome {
     /// They are no such file, or damaged; why.
     Refused(String),
-    /// So many points were read.
+    /// So many points, or triangles, were read.
     Read(u64),
 }
 
 /// The formats that bytes are read as.
-pub const TARGETS: [&str; 9] = ["las", "laz", "ply", "pcd", "e57", "pts", "ptx", "text", "store"];
+pub const TARGETS: [&str; 13] = [
+    "las", "laz", "ply", "pcd", "e57", "pts", "ptx", "text", "store", "gltf", "obj", "stl", "faces",
+];
 
 /// Most points that are read of one input; a compressed file may hold many.
 const MOST_POINTS: u64 = 1 << 20;
@@ -30,6 +32,9 @@ const MOST_POINTS: u64 = 1 << 20;
 /// Reads bytes as one of the [`TARGETS`].
 pub fn run(target: &str, bytes: &[u8]) -> Outcome {
     match target {
+        "gltf" if bytes.starts_with(b"glTF") => read_model("model.glb", bytes),
+        "gltf" | "obj" | "stl" => read_model(&format!("model.{target}"), bytes),
+        "faces" => read_model("model.ply", bytes),
         "store" => read_store(&with_store_checksums(bytes)),
         "e57" => read_scan("scan.e57", with_page_checksums(bytes), &ReadOptions::default()),
         "text" => {
@@ -97,11 +102,33 @@ fn read_points(scan: &Scan) -> Result<u64, ScanError> {
     Ok(total)
 }
 
+/// Reads bytes as a model, in a folder of its own so that files they name are not there.
+fn read_model(name: &str, bytes: &[u8]) -> Outcome {
+    let folder = tempfile::Builder::new().prefix("esker-fuzz").tempdir_in(memory());
+    let folder = folder.expect("a folder is made");
+    let path = folder.path().join(name);
+    std::fs::write(&path, bytes).expect("there is room");
+    match esker::input::read_model(&path, &esker::input::ModelOptions::default()) {
+        Ok(read) => {
+            assert_eq!(read.model.check(), Ok(()), "what is read is sound");
+            let bounds = read.model.bounds();
+            assert!(bounds.min.is_finite() && bounds.max.is_finite(), "{bounds:?} is a box");
+            assert!(read.report.lines().iter().all(|line| line.len() < 1000), "lines are short");
+            Outcome::Read(read.model.triangle_count())
+        }
+        Err(error) => Outcome::Refused(error.to_string()),
+    }
+}
+
+/// A folder in memory, if there is one.
+fn memory() -> std::path::PathBuf {
+    let memory = Path::new("/dev/shm");
+    if memory.is_dir() { memory.to_path_buf() } else { std::env::temp_dir() }
+}
+
 /// Opens a store, checks it, and decodes every section of every node.
 fn read_store(bytes: &[u8]) -> Outcome {
-    let memory = Path::new("/dev/shm");
-    let folder = if memory.is_dir() { memory.to_path_buf() } else { std::env::temp_dir() };
-    let file = tempfile::Builder::new().prefix("esker-fuzz").tempfile_in(folder);
+    let file = tempfile::Builder::new().prefix("esker-fuzz").tempfile_in(memory());
     let file = file.expect("the folder takes files");
     std::fs::write(file.path(), bytes).expect("there is room");
     if let Err(error) = store::check(file.path()) {

@@ -340,6 +340,45 @@ fn stable_hidden_nodes_are_decided_many_at_a_time() {
     assert!(asked(&analytic) <= frontier / 10 + 1, "{analytic:?}");
 }
 
+/// The extreme scene: more than 50,000 hidden objects between visible ones, so that more than 5,000
+/// hidden nodes are left; still they need few questions.
+#[test]
+fn thousands_of_hidden_nodes_are_decided_by_few_questions() {
+    let stage = Stage::new(SceneKind::Field, 76);
+    // Plates of about five pixels.
+    let view = View { width_px: 640, height_px: 480, ..stage.views(CameraPath::Still, 1)[0] };
+    let views = vec![view; 50];
+    let options = ChcPlusOptions::default();
+    let ran = stage.run(Algorithm::ChcPlus(options), Latency::Batches, &views, |_, _, _, _| {});
+    let last = ran[49];
+    assert!(last.hidden_nodes_decided >= 5000, "{last:?}");
+    assert!(last.leaves_drawn >= 76 * 76 && last.leaves_drawn <= 76 * 76 * 11 / 10, "{last:?}");
+    let asked = last.multiqueries + last.queries_hidden;
+    assert!(asked <= last.hidden_nodes_decided / 50 + 1, "{last:?}");
+    assert!(last.blocking_waits <= 1, "{last:?}");
+}
+
+/// Boxes that show where nothing in them does are drawn, and switch questions off.
+#[test]
+fn boxes_that_show_in_vain_switch_questions_off() {
+    let stage = Stage::new(SceneKind::Slit, 300);
+    let views = stage.views(CameraPath::Still, 400);
+    let seen = visible_leaves(&stage, &views[0]);
+    let shown = {
+        let mut picture = ItemBuffer::new(&views[0]);
+        stage.leaves().draw(stage.tree.root().expect("a tree"), &mut picture);
+        picture.visible_items()
+    };
+    assert!(seen.len() > 200, "every box shows: {}", seen.len());
+    assert!(
+        shown.iter().all(|item| [0, esker::visibility::NO_ITEM].contains(item)),
+        "only the wall"
+    );
+    let (ratio, asked) = course_of_auto(&stage, &views, CullingCosts::default());
+    assert!(ratio <= 1.1, "{ratio}");
+    assert!(!asked[399] && asked.iter().any(|asked| *asked));
+}
+
 /// Row B8: leaves that appear together do not stay in step.
 #[test]
 fn jittered_tests_spread() {

@@ -77,7 +77,7 @@ impl Drawables for OwnedLeaves {
     }
 }
 
-const SCENES: [(SceneKind, u32); 8] = [
+const SCENES: [(SceneKind, u32); 10] = [
     (SceneKind::City, 2),
     (SceneKind::Rooms, 3),
     (SceneKind::Terrain, 2),
@@ -86,6 +86,8 @@ const SCENES: [(SceneKind, u32); 8] = [
     (SceneKind::Shells, 5),
     (SceneKind::Window, 80),
     (SceneKind::Plates, 8),
+    (SceneKind::Field, 5),
+    (SceneKind::Slit, 30),
 ];
 
 const LATENCIES: [Latency; 4] =
@@ -192,14 +194,27 @@ fn fewer_rounds_draw_more_and_lose_nothing() {
     assert!(drawn[6] < drawn[0], "{drawn:?}");
 }
 
-/// Eyes inside boxes and near planes through them, at any place and angle.
+/// Eyes inside boxes and near planes through them, at any place and angle: a share of row A12.
 #[test]
 fn eyes_inside_and_beside_boxes_lose_nothing() {
+    try_poses(0..400);
+}
+
+/// The whole of row A12; takes minutes.
+#[test]
+#[ignore = "minutes: run with --ignored, best in release; the test before has a share of it"]
+fn ten_thousand_eyes_inside_and_beside_boxes_lose_nothing() {
+    for first in (0..10_000).step_by(400) {
+        try_poses(first..first + 400);
+    }
+}
+
+fn try_poses(poses: std::ops::Range<u64>) {
     let stage = Stage::new(SceneKind::Boxes, 60);
     let bounds = stage.scene.model.bounds();
-    let mut random = Random::new(4, 0);
     let mut views = Vec::new();
-    for _ in 0..400 {
+    for pose in poses {
+        let mut random = Random::new(4, pose);
         let unit = DVec3::new(random.unit(), random.unit(), random.unit());
         let mut view = stage.views(CameraPath::Still, 1)[0];
         view.camera.eye = bounds.min + unit * bounds.size();
@@ -214,6 +229,33 @@ fn eyes_inside_and_beside_boxes_lose_nothing() {
             near,
         );
         views.push(view);
+    }
+    for algorithm in [
+        Algorithm::StopAndWait,
+        Algorithm::Chc(ChcOptions { seed_first_frame: false, ..ChcOptions::default() }),
+        Algorithm::ChcPlus(ChcPlusOptions { seed_first_frame: false, ..Default::default() }),
+    ] {
+        run_exact(&stage, algorithm, Latency::Rounds, &views);
+    }
+}
+
+/// Eyes on the faces, edges and corners of boxes, exactly, and near planes that lie in a face.
+#[test]
+fn eyes_on_faces_of_boxes_lose_nothing() {
+    let stage = Stage::new(SceneKind::Boxes, 40);
+    let mut views = Vec::new();
+    for (at, bounds) in stage.scene.model.object_bounds().iter().enumerate() {
+        let (center, size) = (bounds.center(), bounds.size());
+        for face in [DVec3::X, DVec3::new(1.0, 1.0, 0.0), DVec3::ONE] {
+            let eye = center + 0.5 * size * face * if at % 2 == 0 { 1.0 } else { -1.0 };
+            // Into the box, away from it, and along the face.
+            let forward = [center - eye, eye - center, DVec3::new(0.0, 1.0, 0.2)][at % 3];
+            let near = [0.01, size.x, 0.5 * size.x][at % 3];
+            let mut view = stage.views(CameraPath::Still, 1)[0];
+            let target = eye + forward;
+            view.camera = esker::geometry::Camera::looking_at(eye, target, DVec3::Z, 1.2, near);
+            views.push(view);
+        }
     }
     for algorithm in [
         Algorithm::StopAndWait,

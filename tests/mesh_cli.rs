@@ -162,3 +162,32 @@ fn made_scenes_come_as_models_and_as_scans() {
     let points = esker(path, &["generate", "--subject", "cube", "-o", "cube.glb"]);
     assert_eq!(points.status.code(), Some(1), "a cube of points is no model");
 }
+
+#[test]
+fn folders_stand_for_their_models_and_scans() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path();
+    std::fs::create_dir_all(path.join("site/deep")).expect("folders");
+    let triangle = "v 0 0 0\nv 9 0 0\nv 0 9 0\nf 1 2 3\n";
+    write(path, "site/a.obj", triangle);
+    write(path, "site/deep/b.OBJ", triangle.replace("v 0 0 0", "v 0 0 5"));
+    write(path, "site/notes.md", "no model");
+    let point = LasPoint { position: [1, 2, 3], color: [0, 65_535, 0], intensity: 1 };
+    write_las(&path.join("site/deep/c.las"), &[point]);
+    done(&esker(
+        path,
+        &["render", "site", "-o", "p.png", "--renderer", "cpu", "--stats", "s.json"],
+    ));
+    let stats = stats(path);
+    assert_eq!((&stats["triangles_drawn"], &stats["points_drawn"]), (&2.into(), &1.into()));
+    std::fs::remove_file(path.join("site/deep/c.las")).expect("removes");
+    done(&esker(path, &["render", "site", "-o", "p.png", "--renderer", "cpu"]));
+    std::fs::create_dir(path.join("empty")).expect("a folder");
+    let output = esker(path, &["render", "empty", "-o", "p.png", "--renderer", "cpu"]);
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success() && message.contains("no scan or model"), "{message}");
+    // What converts takes scans alone.
+    let output = esker(path, &["convert", "site", "-o", "s.esker"]);
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success() && message.contains("no scan file"), "{message}");
+}

@@ -358,3 +358,28 @@ fn files_that_are_no_models_are_named() {
         assert!(text.contains(name) && text.len() < 300, "{text}");
     }
 }
+
+#[test]
+fn reading_ends_when_nobody_wants_the_model() {
+    use std::sync::Arc;
+    use std::sync::atomic::AtomicBool;
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds");
+    for name in [
+        "gltf/cube.gltf",
+        "gltf/cube.glb",
+        "obj/cube.obj",
+        "stl/text.stl",
+        "stl/binary.stl",
+        "faces/text.ply",
+        "faces/binary_little_endian.ply",
+    ] {
+        let path = folder.join(name);
+        let read = |cancelled: bool| {
+            let cancelled = Arc::new(AtomicBool::new(cancelled));
+            esker::input::read_model_until(&path, &ModelOptions::default(), &cancelled)
+        };
+        assert!(read(false).is_ok_and(|read| read.model.triangle_count() >= 12), "{name}");
+        let error = read(true).expect_err("it was cancelled").to_string();
+        assert!(error.contains("cancelled"), "{error}");
+    }
+}

@@ -495,3 +495,28 @@ fn what_is_culled_is_shown_on_demand_and_costs_nothing_off() {
     let now = hand.statistics();
     assert_eq!((now.culling_view, now.frame.objects_drawn), (None, 40));
 }
+
+#[test]
+fn a_folder_of_models_opens_them_all() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let inside = folder.path().join("site");
+    fs::create_dir(&inside).expect("a folder");
+    street(&inside);
+    fs::copy(inside.join("street.obj"), inside.join("other.obj")).expect("copies");
+    fn list(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
+        let entries = fs::read_dir(folder)?;
+        let mut files: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
+        files.sort();
+        Ok(files)
+    }
+    let mut options = ViewerOptions { frame: first_settings(), ..ViewerOptions::default() };
+    options.opening.list_folder = Some(list);
+    let mut hand = Hand::new();
+    hand.viewer = Viewer::new(Renderer::on_cpu(1 << 28), Canvas::default(), options);
+    hand.drop_file(&inside);
+    hand.settle();
+    let now = hand.statistics();
+    assert_eq!((now.models.len(), now.objects, now.frame.objects_drawn), (2, 80, 80));
+    assert!(now.notices.is_empty(), "{:?}", now.notices);
+    assert!(!folder.path().join("site.esker").exists(), "there are no scans to keep");
+}

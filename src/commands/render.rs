@@ -37,8 +37,8 @@ use crate::store::Store;
 /// Arguments of `esker render`.
 #[derive(Debug, Args)]
 pub struct RenderArgs {
-    /// Models (glTF, GLB, OBJ, STL, PLY with faces), stores and scans, in one picture; scans are
-    /// converted to a temporary store first
+    /// Models (glTF, GLB, OBJ, STL, PLY with faces), stores, scans, and folders of models and scans,
+    /// in one picture; scans are converted to a temporary store first
     #[arg(required = true)]
     files: Vec<PathBuf>,
     /// The picture to write; a camera path gives OUT-0000.png, OUT-0001.png, ...
@@ -130,7 +130,7 @@ enum RuleChoice {
 /// Runs the command.
 pub fn run(args: RenderArgs) -> anyhow::Result<ExitCode> {
     check_folder(&args.output)?;
-    let (meshes, points) = models::split(inputs::expand(&args.files)?);
+    let (meshes, points) = models::split(inputs::expand_with_models(&args.files)?);
     let model = Arc::new(models::load(&meshes, &args.models.options())?);
     let (sources, _temporary) = open_sources(&args, points)?;
     let mut settings = frame_settings(&args, &sources)?;

@@ -8,7 +8,7 @@ use clap::Args;
 #[cfg(feature = "viewer")]
 #[derive(Debug, Args)]
 pub struct ViewArgs {
-    /// Stores, scans, folders of scans, models (glTF, GLB, OBJ, STL, PLY with faces). Scans are shown at once by some of their points and
+    /// Stores, scans, models (glTF, GLB, OBJ, STL, PLY with faces), folders of these. Scans are shown at once by some of their points and
     /// converted, to NAME.esker beside them if nothing has that name and the folder can be written,
     /// else to a temporary store; those of a folder become one store beside it. Without files: an
     /// empty window to drop them on
@@ -113,7 +113,7 @@ pub fn run(args: ViewArgs) -> anyhow::Result<ExitCode> {
             opening: OpeningOptions {
                 temporary: args.temporary,
                 preview_points: Some(args.preview),
-                list_folder: Some(inputs::expand_folder),
+                list_folder: Some(inputs::expand_folder_with_models),
                 models: args.models.options(),
                 ..OpeningOptions::default()
             },

@@ -52,7 +52,7 @@ pub use guard::without_panic;
 pub use header::{LasHeader, ReturnCounts, place};
 pub use mesh::{
     ModelFormat, ModelOptions, ModelReadError, ModelReport, ReadModel, UpAxis, detect_model,
-    read_model,
+    model_suffixes, read_model, read_model_until,
 };
 pub use placing::{Placing, decimal_lattice, fine_lattice, reaches};
 pub use point_format::{ExtraBytes, PointFormat, describes_extra_bytes, extra_bytes};

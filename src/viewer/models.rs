@@ -2,11 +2,12 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 use egui::{Grid, RichText, Ui};
 
 use crate::geometry::Aabb;
-use crate::input::{ModelOptions, read_model};
+use crate::input::{ModelOptions, read_model_until};
 use crate::mesh::Model;
 use crate::viewer::panels::{FileAction, grouped};
 
@@ -25,8 +26,9 @@ pub struct OpenedModel {
 pub(super) fn open_model(
     path: &Path,
     options: &ModelOptions,
+    cancelled: &Arc<AtomicBool>,
 ) -> anyhow::Result<(OpenedModel, Vec<String>)> {
-    let read = read_model(path, options)?;
+    let read = read_model_until(path, options, cancelled)?;
     let lines = read.report.lines();
     let lines = lines.into_iter().map(|line| format!("{line}: {}", path.display())).collect();
     let bounds = read.model.bounds();

@@ -30,7 +30,7 @@ use crate::viewer::preview::{FIRST_PREVIEW_POINTS, make_preview, preview_of, pre
 /// Called from the opening thread when there is news.
 pub type Wake = Arc<dyn Fn() + Send + Sync>;
 
-/// Lists the scans in a folder.
+/// Lists the scans and models in a folder.
 pub type ListFolder = fn(&Path) -> anyhow::Result<Vec<PathBuf>>;
 
 /// How files are opened.
@@ -42,7 +42,8 @@ pub struct OpeningOptions {
     pub preview_points: Option<u64>,
     /// Where previews are made; in memory or among temporary files, if not told.
     pub preview_folder: Option<PathBuf>,
-    /// What makes a folder a list of scans, which become one store; without, folders are refused.
+    /// What makes a folder a list of files, of which the scans become one store; without, folders are
+    /// refused.
     pub list_folder: Option<ListFolder>,
     /// How models are placed.
     pub models: ModelOptions,
@@ -115,7 +116,7 @@ pub struct Opening {
 
 #[derive(Debug, Default)]
 struct Shared {
-    cancelled: AtomicBool,
+    cancelled: Arc<AtomicBool>,
     converting: Mutex<Option<Advance>>,
     points_done: AtomicU64,
 }
@@ -192,12 +193,19 @@ impl Worker {
     fn run(&self, paths: Vec<PathBuf>) {
         let mut jobs = Vec::new();
         for path in paths {
-            match self.find(&path) {
-                Ok(Found::Open(file)) => self.tell(Opened::Files(vec![file])),
-                Ok(Found::Model(model, lines)) => {
-                    lines.into_iter().for_each(|line| self.tell(Opened::Warning(line)));
-                    self.tell(Opened::Model(model));
+            let (models, scans) = match self.list(&path) {
+                Ok(files) => files,
+                Err(error) => {
+                    self.tell(Opened::Failed(format!("{error:#}")));
+                    continue;
                 }
+            };
+            models.iter().for_each(|model| self.show_model(model));
+            if scans.is_empty() {
+                continue;
+            }
+            match self.find(&path, scans) {
+                Ok(Found::Open(file)) => self.tell(Opened::Files(vec![file])),
                 Ok(Found::Scans(scans)) => jobs.push(Job { path, scans }),
                 Err(error) => self.tell(Opened::Failed(format!("{error:#}"))),
             }
@@ -216,20 +224,33 @@ impl Worker {
         (self.wake)();
     }
 
+    /// The models and the scans that a path stands for.
+    fn list(&self, path: &Path) -> anyhow::Result<(Vec<PathBuf>, Vec<PathBuf>)> {
+        let files = match self.options.list_folder {
+            Some(list) if path.is_dir() => list(path)?,
+            _ => vec![path.to_owned()],
+        };
+        Ok(files.into_iter().partition(|file| detect_model(file).is_some()))
+    }
+
+    fn show_model(&self, path: &Path) {
+        match open_model(path, &self.options.models, &self.shared.cancelled) {
+            Ok((model, lines)) => {
+                lines.into_iter().for_each(|line| self.tell(Opened::Warning(line)));
+                self.tell(Opened::Model(model));
+            }
+            // Whoever cancelled needs no message.
+            Err(_) if self.is_cancelled() => {}
+            Err(error) => self.tell(Opened::Failed(format!("{error:#}"))),
+        }
+    }
+
     /// Opens a store, or the store that was made of the scans, or finds that there is none.
-    fn find(&self, path: &Path) -> anyhow::Result<Found> {
+    fn find(&self, path: &Path, scans: Vec<PathBuf>) -> anyhow::Result<Found> {
         let opened = |store, kept_in| Found::Open(file(path, store, kept_in, None));
         if is_store(path) {
             return Ok(opened(Store::open_with_coarse(path, FIRST_PICTURE_BYTES)?, KeptIn::Itself));
         }
-        if detect_model(path).is_some() {
-            let (model, lines) = open_model(path, &self.options.models)?;
-            return Ok(Found::Model(model, lines));
-        }
-        let scans = match self.options.list_folder {
-            Some(list) if path.is_dir() => list(path)?,
-            _ => vec![path.to_owned()],
-        };
         if !self.options.temporary
             && let Some(beside) = store_beside(path)
             && let Some(store) = made_from(&beside, &scans)
@@ -357,8 +378,6 @@ impl Worker {
 /// What there is of a path.
 enum Found {
     Open(OpenedFile),
-    /// With what is wrong in it.
-    Model(OpenedModel, Vec<String>),
     Scans(Vec<PathBuf>),
 }
 

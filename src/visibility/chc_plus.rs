@@ -334,7 +334,7 @@ impl ChcPlus {
         let history = walk.history.node(node);
         if history.visible {
             history.splits = 0;
-        } else if frame.wrapping_sub(history.opened_at) <= 2 {
+        } else if history.opened_at != 0 && frame.wrapping_sub(history.opened_at) <= 2 {
             // Its box showed a frame ago, and nothing in it did.
             history.splits = (history.splits + 1).min(MOST_SPLITS);
             history.split_until = frame.wrapping_add(SPLIT_FRAMES << (history.splits - 1));

@@ -48,6 +48,10 @@ pub enum Subject {
     Window,
     /// Plates that each hide a block
     Plates,
+    /// Plates at many depths that each hide ten blocks
+    Field,
+    /// Pairs of cubes behind a wall with a slit
+    Slit,
 }
 
 impl Subject {
@@ -63,6 +67,8 @@ impl Subject {
             Subject::Shells => SceneKind::Shells,
             Subject::Window => SceneKind::Window,
             Subject::Plates => SceneKind::Plates,
+            Subject::Field => SceneKind::Field,
+            Subject::Slit => SceneKind::Slit,
         })
     }
 }

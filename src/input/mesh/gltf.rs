@@ -57,7 +57,7 @@ pub(super) fn read(bytes: &[u8], folder: &Path, parts: &mut Assembly) -> Result<
         })
         .collect();
     let materials = materials(&document, &buffers, folder, parts);
-    let meshes = meshes(&document, &buffers, &materials, parts);
+    let meshes = meshes(&document, &buffers, &materials, parts)?;
     place_nodes(&document, &meshes, parts);
     Ok(())
 }
@@ -257,7 +257,7 @@ fn meshes(
     buffers: &Buffers,
     materials: &[(MaterialId, u32)],
     parts: &mut Assembly,
-) -> Vec<Vec<(MeshId, MaterialId)>> {
+) -> Result<Vec<Vec<(MeshId, MaterialId)>>, ForeignFault> {
     let plain = materials.len() - 1;
     let mut is_used = vec![false; document.meshes.len()];
     for mesh in document.nodes.iter().filter_map(|node| node.mesh) {
@@ -269,6 +269,7 @@ fn meshes(
     for (index, mesh) in document.meshes.iter().enumerate() {
         let mut shapes = Vec::new();
         for (at, primitive) in mesh.primitives.iter().enumerate().filter(|_| is_used[index]) {
+            parts.go_on()?;
             if !matches!(primitive.mode.unwrap_or(4), 4..=6) {
                 parts.report.no_triangles += 1;
                 continue;
@@ -288,7 +289,7 @@ fn meshes(
         }
         meshes.push(shapes);
     }
-    meshes
+    Ok(meshes)
 }
 
 fn shape_of(

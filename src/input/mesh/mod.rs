@@ -26,6 +26,8 @@ mod shape;
 mod stl;
 
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 use glam::{DAffine3, DMat3, DVec3};
 
@@ -115,16 +117,33 @@ pub fn detect_model(path: &Path) -> Option<ModelFormat> {
     }
 }
 
+/// Suffixes of model files; a PLY file is one if it has faces.
+pub fn model_suffixes() -> impl Iterator<Item = &'static str> {
+    ["gltf", "glb", "obj", "stl"].into_iter()
+}
+
 /// Reads a model.
 ///
 /// # Errors
 /// If the file cannot be read, is no model, or holds nothing that can be drawn.
 pub fn read_model(path: &Path, options: &ModelOptions) -> Result<ReadModel, ModelReadError> {
+    read_model_until(path, options, &Arc::default())
+}
+
+/// Reads a model, unless it is cancelled meanwhile: then reading ends soon, with an error.
+///
+/// # Errors
+/// As [`read_model`], and if it was cancelled.
+pub fn read_model_until(
+    path: &Path,
+    options: &ModelOptions,
+    cancelled: &Arc<AtomicBool>,
+) -> Result<ReadModel, ModelReadError> {
     let in_file = |fault| ModelReadError::new(path, fault);
     let file = open_regular(path).map_err(|fault| in_file(fault.into()))?;
     let format = detect_model(path)
         .ok_or_else(|| in_file(ForeignFault::at("header", "not a model (glTF, OBJ, PLY, STL)")))?;
-    let (model, report) = parse(&file, path, format, options).map_err(in_file)?;
+    let (model, report) = parse(&file, path, format, options, cancelled).map_err(in_file)?;
     if model.is_empty() {
         let why = report.lines().into_iter().next().unwrap_or_else(|| "it holds none".into());
         return Err(in_file(ForeignFault::at("file", format!("no triangle to draw: {why}"))));
@@ -140,8 +159,8 @@ fn parse(
     path: &Path,
     format: ModelFormat,
     options: &ModelOptions,
+    cancelled: &Arc<AtomicBool>,
 ) -> Result<(Model, ModelReport), ForeignFault> {
-    let bytes = file.read_range(0..file.bytes())?;
     let up = options.up.unwrap_or(match format {
         ModelFormat::Gltf | ModelFormat::Glb => UpAxis::Y,
         _ => UpAxis::Z,
@@ -150,7 +169,9 @@ fn parse(
         UpAxis::Y => DMat3::from_cols(DVec3::X, DVec3::Z, -DVec3::Y),
         UpAxis::Z => DMat3::IDENTITY,
     };
-    let mut parts = shape::Assembly::new(DAffine3::from_mat3_translation(turned, options.offset));
+    let world_from_file = DAffine3::from_mat3_translation(turned, options.offset);
+    let mut parts = shape::Assembly::new(world_from_file, cancelled.clone());
+    let bytes = all_bytes(file, &parts)?;
     let folder = path.parent().unwrap_or(Path::new(""));
     match format {
         ModelFormat::Gltf | ModelFormat::Glb => gltf::read(&bytes, folder, &mut parts)?,
@@ -159,4 +180,21 @@ fn parse(
         ModelFormat::Stl => stl::read(&bytes, &mut parts)?,
     }
     Ok(parts.finish())
+}
+
+/// Bytes read between two looks at whether anybody still wants them.
+const READ_BYTES: u64 = 32 << 20;
+
+fn all_bytes(file: &PositionedFile, parts: &shape::Assembly) -> Result<Vec<u8>, ForeignFault> {
+    let total = file.bytes();
+    if total <= READ_BYTES {
+        parts.go_on()?;
+        return Ok(file.read_range(0..total)?);
+    }
+    let mut bytes = Vec::new();
+    for first in (0..total).step_by(READ_BYTES as usize) {
+        parts.go_on()?;
+        bytes.extend_from_slice(&file.read_range(first..total.min(first + READ_BYTES))?);
+    }
+    Ok(bytes)
 }

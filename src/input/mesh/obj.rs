@@ -64,6 +64,7 @@ pub(super) fn read(bytes: &[u8], folder: &Path, parts: &mut Assembly) -> Result<
     };
     let mut joined = String::new();
     for line in bytes.split(|&byte| byte == b'\n') {
+        reader.parts.go_on()?;
         let Ok(line) = std::str::from_utf8(line) else {
             // Names may be in any encoding; numbers are not.
             reader.line(&String::from_utf8_lossy(line));
@@ -82,8 +83,7 @@ pub(super) fn read(bytes: &[u8], folder: &Path, parts: &mut Assembly) -> Result<
         }
     }
     reader.line(&joined);
-    reader.finish();
-    Ok(())
+    reader.finish()
 }
 
 impl Reader<'_> {
@@ -187,7 +187,7 @@ impl Reader<'_> {
         *self.plain.get_or_insert_with(|| self.parts.material(Material::default()))
     }
 
-    fn finish(self) {
+    fn finish(self) -> Result<(), ForeignFault> {
         let Reader { positions, colors, uvs, normals, shapes, parts, .. } = self;
         // Colours are shares or bytes; nobody says which.
         let is_bytes = colors.iter().flatten().any(|&c| c > 1.0);
@@ -218,7 +218,7 @@ impl Reader<'_> {
             (raw, material)
         });
         let shapes = shapes.collect();
-        parts.placed_shapes(shapes);
+        parts.placed_shapes(shapes)
     }
 }
 

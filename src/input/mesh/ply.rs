@@ -55,6 +55,7 @@ pub(super) fn read(
         let mut row = Vec::with_capacity(element.properties.len());
         let mut list = Vec::new();
         for index in 0..element.count {
+            parts.go_on()?;
             row.clear();
             for (at, property) in element.properties.iter().enumerate() {
                 let wanted = (Some(at) == corners).then_some(&mut list);
@@ -77,8 +78,7 @@ pub(super) fn read(
         }
     }
     let material = parts.material(Material::default());
-    parts.placed_shapes(vec![(raw, material)]);
-    Ok(())
+    parts.placed_shapes(vec![(raw, material)])
 }
 
 fn add_face(list: &[f64], raw: &mut RawShape, parts: &mut Assembly) {

@@ -8,6 +8,8 @@
 //! together.
 
 use std::collections::HashMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
@@ -15,6 +17,7 @@ use rayon::prelude::*;
 use super::report::ModelReport;
 use crate::geometry::Aabb;
 use crate::ids::{MaterialId, MeshId, TextureId};
+use crate::input::foreign::ForeignFault;
 use crate::mesh::{MOST_GROUP_TRIANGLES, Material, Mesh, Model, Object, Texture, compact_groups};
 
 /// Widest extent of shapes that share an origin: f32 keeps a millimetre within.
@@ -40,12 +43,22 @@ pub(super) struct Assembly {
     model: Model,
     pub report: ModelReport,
     world_from_file: DAffine3,
+    cancelled: Arc<AtomicBool>,
 }
 
 impl Assembly {
-    pub fn new(world_from_file: DAffine3) -> Self {
+    /// An empty model; reading ends when `cancelled` is set.
+    pub fn new(world_from_file: DAffine3, cancelled: Arc<AtomicBool>) -> Self {
         let report = ModelReport::default();
-        Assembly { model: Model::default(), report, world_from_file }
+        Assembly { model: Model::default(), report, world_from_file, cancelled }
+    }
+
+    /// An error if nobody wants the model any more; asked for every row.
+    pub fn go_on(&self) -> Result<(), ForeignFault> {
+        match self.cancelled.load(Ordering::Relaxed) {
+            true => Err(ForeignFault::at("reading", "cancelled")),
+            false => Ok(()),
+        }
     }
 
     /// Adds a material.
@@ -78,10 +91,14 @@ impl Assembly {
     }
 
     /// Adds shapes that are given in the file's coordinates, each in its place.
-    pub fn placed_shapes(&mut self, shapes: Vec<(RawShape, MaterialId)>) {
+    pub fn placed_shapes(
+        &mut self,
+        shapes: Vec<(RawShape, MaterialId)>,
+    ) -> Result<(), ForeignFault> {
         let mut shapes = shapes;
         let mut bounds = Aabb::EMPTY;
         for (raw, _) in &mut shapes {
+            self.go_on()?;
             clean(raw, &mut self.report);
             for triangle in &raw.triangles {
                 for &vertex in triangle {
@@ -91,10 +108,12 @@ impl Assembly {
         }
         let shared = shared_origin(&bounds);
         for (raw, material) in shapes {
+            self.go_on()?;
             for (mesh, origin) in self.parts(&raw, shared) {
                 self.object(mesh, material, DAffine3::from_translation(origin));
             }
         }
+        Ok(())
     }
 
     /// The parts of a clean shape with their origins; each has its own if none is given.
@@ -255,9 +274,9 @@ mod tests {
         let mut raw = sheet(2, DVec3::ZERO);
         raw.positions.push(DVec3::new(f64::NAN, 0.0, 0.0));
         raw.triangles.extend([[0, 1, 9], [0, 1, 10], [0, 0, 1], [0, 1, 2], [4, 0, 1]]);
-        let mut parts = Assembly::new(DAffine3::IDENTITY);
+        let mut parts = Assembly::new(DAffine3::IDENTITY, Arc::default());
         let material = parts.material(Material::default());
-        parts.placed_shapes(vec![(raw, material)]);
+        parts.placed_shapes(vec![(raw, material)]).expect("not cancelled");
         let (model, report) = parts.finish();
         assert_eq!(model.triangle_count(), 8);
         let counts = (report.not_finite, report.out_of_range, report.zero_area, report.duplicate);
@@ -268,9 +287,9 @@ mod tests {
     #[test]
     fn large_shapes_are_split_and_keep_their_corners() {
         let at = DVec3::new(4.5e5, 5.2e6, 310.0);
-        let mut parts = Assembly::new(DAffine3::IDENTITY);
+        let mut parts = Assembly::new(DAffine3::IDENTITY, Arc::default());
         let material = parts.material(Material::default());
-        parts.placed_shapes(vec![(sheet(70, at), material)]);
+        parts.placed_shapes(vec![(sheet(70, at), material)]).expect("not cancelled");
         let (model, _) = parts.finish();
         assert_eq!(model.objects.len(), 3);
         assert_eq!(model.triangle_count(), 9800);

@@ -19,12 +19,11 @@ const TRIANGLE_BYTES: usize = 50;
 pub(super) fn read(bytes: &[u8], parts: &mut Assembly) -> Result<(), ForeignFault> {
     let mut welder = Welder::default();
     match is_text(bytes) {
-        true => read_text(bytes, &mut welder, parts),
+        true => read_text(bytes, &mut welder, parts)?,
         false => read_binary(bytes, &mut welder, parts)?,
     }
     let material = parts.material(Material::default());
-    parts.placed_shapes(vec![(welder.shape, material)]);
-    Ok(())
+    parts.placed_shapes(vec![(welder.shape, material)])
 }
 
 /// Both kinds may begin with "solid"; the length that a binary file claims decides.
@@ -54,6 +53,7 @@ fn read_binary(
         parts.report.note(note);
     }
     for row in rows.take(claimed as usize) {
+        parts.go_on()?;
         let number =
             |at: usize| f32::from_le_bytes([row[at], row[at + 1], row[at + 2], row[at + 3]]);
         let corner = |at: usize| [number(at), number(at + 4), number(at + 8)].map(f64::from);
@@ -62,9 +62,10 @@ fn read_binary(
     Ok(())
 }
 
-fn read_text(bytes: &[u8], welder: &mut Welder, parts: &mut Assembly) {
+fn read_text(bytes: &[u8], welder: &mut Welder, parts: &mut Assembly) -> Result<(), ForeignFault> {
     let mut corners = Vec::with_capacity(4);
     for line in bytes.split(|&byte| byte == b'\n' || byte == b'\r') {
+        parts.go_on()?;
         let mut words = line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
         match words.next() {
             Some(b"vertex") => {
@@ -89,6 +90,7 @@ fn read_text(bytes: &[u8], welder: &mut Welder, parts: &mut Assembly) {
         }
     }
     parts.report.damaged += u64::from(!corners.is_empty());
+    Ok(())
 }
 
 #[derive(Default)]

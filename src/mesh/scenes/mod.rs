@@ -38,11 +38,16 @@ pub enum SceneKind {
     Window,
     /// A field of plates that each hide a block right behind; `size` of them along each side.
     Plates,
+    /// Plates at many depths that each hide ten blocks; `size` of them along each side.
+    Field,
+    /// Pairs of cubes behind a wall with a slit: every box shows through it, and no cube; `size`
+    /// pairs, their boxes inside each other.
+    Slit,
 }
 
 impl SceneKind {
     /// All kinds.
-    pub const ALL: [SceneKind; 8] = [
+    pub const ALL: [SceneKind; 10] = [
         SceneKind::City,
         SceneKind::Rooms,
         SceneKind::Terrain,
@@ -51,6 +56,8 @@ impl SceneKind {
         SceneKind::Shells,
         SceneKind::Window,
         SceneKind::Plates,
+        SceneKind::Field,
+        SceneKind::Slit,
     ];
 
     /// The name on the command line.
@@ -64,6 +71,8 @@ impl SceneKind {
             SceneKind::Shells => "shells",
             SceneKind::Window => "window",
             SceneKind::Plates => "plates",
+            SceneKind::Field => "field",
+            SceneKind::Slit => "slit",
         }
     }
 
@@ -78,6 +87,8 @@ impl SceneKind {
             SceneKind::Shells => 24,
             SceneKind::Window => 4000,
             SceneKind::Plates => 72,
+            SceneKind::Field => 76,
+            SceneKind::Slit => 2000,
         }
     }
 
@@ -93,6 +104,8 @@ impl SceneKind {
             SceneKind::Shells => trials::shells(size),
             SceneKind::Window => trials::window(size, seed),
             SceneKind::Plates => trials::plates(size),
+            SceneKind::Field => trials::field(size, seed),
+            SceneKind::Slit => trials::slit(size),
         }
     }
 }
@@ -165,6 +178,7 @@ mod tests {
             (SceneKind::Rooms, 3_000),
             (SceneKind::Terrain, 3_000),
             (SceneKind::Pipes, 20_000),
+            (SceneKind::Field, 50_000),
         ] {
             let scene = kind.make(kind.usual_size(), 1);
             let (objects, triangles) = (scene.model.objects.len(), scene.model.triangle_count());

@@ -1,5 +1,5 @@
-//! Scenes that try a method: random boxes, nested shells, a wall with one window, and plates that
-//! hide one block each.
+//! Scenes that try a method: random boxes, nested shells, a wall with one window, plates that hide
+//! one block each or ten, and boxes that show where nothing in them does.
 
 use glam::DVec3;
 
@@ -84,4 +84,64 @@ pub(super) fn plates(size: u32) -> ModelScene {
     // So far away that no block shows beside its plate.
     let eye = DVec3::new(middle, -1.1 * f64::from(size), middle);
     maker.finish(vec![eye, eye + DVec3::Y * 0.1])
+}
+
+/// Plates that fill the view from one place at many depths, each with ten blocks right behind: the
+/// hidden blocks of one plate stand nearer to it than to those of the next, so that many hidden
+/// nodes are left however the tree is built.
+pub(super) fn field(size: u32, seed: u64) -> ModelScene {
+    const BLOCKS: u32 = 10;
+    let mut maker = Maker::default();
+    let plate = maker.mesh(block(DVec3::new(1.0, 0.05, 1.0)));
+    let hidden = maker.mesh(block(DVec3::splat(0.1)));
+    let [front, back] = [[120, 160, 200], [220, 40, 40]].map(|color| maker.material(color));
+    let middle = 0.5 * (f64::from(size) - 1.0);
+    let eye = DVec3::new(middle, -1.1 * f64::from(size), middle);
+    for row in 0..size {
+        for column in 0..size {
+            let mut random =
+                Random::new(seed, u64::from(row) * u64::from(size) + u64::from(column));
+            // Farther away and larger in proportion: the same place in the picture.
+            let depth = random.between(1.0, 2.0);
+            let at = |x: f64, y: f64, z: f64| {
+                let offset = DVec3::new(f64::from(column) + x, y, f64::from(row) + z) - eye;
+                eye + depth * offset
+            };
+            let scale = DVec3::splat(depth);
+            maker.place(plate, front, placed(scale, 0.0, at(0.0, 0.0, 0.0)));
+            for step in 0..BLOCKS {
+                let behind = 0.1 + 0.04 * f64::from(step);
+                let (x, z) = (random.between(-0.25, 0.25), random.between(-0.25, 0.25));
+                maker.place(hidden, back, placed(scale, 0.0, at(x, behind, z)));
+            }
+        }
+    }
+    maker.finish(vec![eye, eye + DVec3::Y * 0.001])
+}
+
+/// A wall with a slit in the middle and pairs of cubes behind its halves.
+pub(super) fn slit(size: u32) -> ModelScene {
+    let mut maker = Maker::default();
+    let [stone, red] = [[170, 164, 152], [170, 70, 60]].map(|color| maker.material(color));
+    let far = 20.0 + 0.2 * f64::from(size);
+    let mut wall = Solid::default();
+    for side in [-1.0, 1.0] {
+        let (a, b) = (side * 0.5, side * far);
+        wall.block(DVec3::new(a.min(b), -0.1, -far), DVec3::new(a.max(b), 0.1, far));
+    }
+    let wall = maker.mesh(wall.into_mesh());
+    maker.place(wall, stone, placed(DVec3::ONE, 0.0, DVec3::ZERO));
+    for pair in 0..size {
+        let step = f64::from(pair);
+        let apart = 3.0 + 0.1 * step;
+        let half = DVec3::splat(0.2 + 0.002 * step);
+        let mut cubes = Solid::default();
+        for side in [-1.0, 1.0] {
+            let center = DVec3::new(side * apart, 4.0 + 0.05 * step, 0.0);
+            cubes.block(center - half, center + half);
+        }
+        let cubes = maker.mesh(cubes.into_mesh());
+        maker.place(cubes, red, placed(DVec3::ONE, 0.0, DVec3::ZERO));
+    }
+    maker.finish(vec![DVec3::new(0.0, -14.0, 0.3), DVec3::new(0.0, -12.0, 0.3)])
 }

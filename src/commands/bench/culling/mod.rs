@@ -73,13 +73,14 @@ impl Extent {
             SceneKind::Pipes => 8,
             SceneKind::Boxes | SceneKind::Window => 300,
             SceneKind::Shells => 6,
-            SceneKind::Plates => 16,
+            SceneKind::Plates | SceneKind::Field => 16,
+            SceneKind::Slit => 100,
         }
     }
 }
 
 /// Scenes with the paths they are tried on.
-const COURSES: [(SceneKind, CameraPath); 11] = [
+const COURSES: [(SceneKind, CameraPath); 13] = [
     (SceneKind::City, CameraPath::Walk),
     (SceneKind::City, CameraPath::Fly),
     (SceneKind::City, CameraPath::Rise),
@@ -91,6 +92,8 @@ const COURSES: [(SceneKind, CameraPath); 11] = [
     (SceneKind::Window, CameraPath::Walk),
     (SceneKind::Shells, CameraPath::Walk),
     (SceneKind::Plates, CameraPath::Still),
+    (SceneKind::Field, CameraPath::Still),
+    (SceneKind::Slit, CameraPath::Walk),
 ];
 
 /// Runs the suite.

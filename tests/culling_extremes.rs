@@ -81,7 +81,7 @@ impl Drawables for &Coincident {
 fn a_million_boxes_in_one_place_are_one_question_behind_a_plate() {
     let scene = Coincident::new();
     assert!(scene.tree.depth() <= 24, "{}", scene.tree.depth());
-    let [_, _, frustum, _, _, chc, plus] = Algorithm::usual();
+    let [_, _, frustum, _, _, chc, plus, ..] = Algorithm::usual();
     let before = looking(DVec3::new(0.3, -9.0, 0.2), DVec3::ZERO);
     // In the middle of them; and on a face of theirs, looking along it.
     let inside = looking(DVec3::new(0.1, 0.0, 0.0), DVec3::Y);
@@ -175,7 +175,7 @@ fn a_hundred_thousand_leaves_under_one_node_are_culled_one_by_one() {
     let views = vec![looking(eye, DVec3::ZERO); 5];
     let mut expected = ItemBuffer::new(&views[0]);
     (&tree).draw(TreeNodeId(0), &mut expected);
-    let [.., plus] = Algorithm::usual();
+    let plus = Algorithm::usual()[6];
     for algorithm in [Algorithm::usual()[5], plus] {
         let counters =
             run(&tree, &tree, algorithm, Latency::Batches, &views, |frame, _, _, picture| {
@@ -214,7 +214,7 @@ fn an_object_around_the_camera_hides_what_is_outside_of_it() {
         }
         let drawn = culler.drawn().len();
         // So few leaves in view are not worth an attempt of `auto`.
-        let culls = !matches!(algorithm.name(), "none" | "frustum" | "auto");
+        let culls = matches!(algorithm.name(), "naive" | "stop-and-wait" | "chc" | "chc++");
         // What meets the near plane is drawn besides: the box of the ground.
         assert_eq!(drawn <= 6, culls, "{}: {drawn} drawn", algorithm.name());
     }

@@ -103,16 +103,17 @@ pub(super) fn field(size: u32, seed: u64) -> ModelScene {
                 Random::new(seed, u64::from(row) * u64::from(size) + u64::from(column));
             // Farther away and larger in proportion: the same place in the picture.
             let depth = random.between(1.0, 2.0);
-            let at = |x: f64, y: f64, z: f64| {
-                let offset = DVec3::new(f64::from(column) + x, y, f64::from(row) + z) - eye;
-                eye + depth * offset
+            let at = |x: f64, z: f64, behind: f64| {
+                let offset = DVec3::new(f64::from(column) + x, 0.0, f64::from(row) + z) - eye;
+                // Behind along the line of sight, so that plates at the edge hide theirs too.
+                eye + depth * (1.0 + behind / -eye.y) * offset
             };
             let scale = DVec3::splat(depth);
             maker.place(plate, front, placed(scale, 0.0, at(0.0, 0.0, 0.0)));
             for step in 0..BLOCKS {
                 let behind = 0.1 + 0.04 * f64::from(step);
                 let (x, z) = (random.between(-0.25, 0.25), random.between(-0.25, 0.25));
-                maker.place(hidden, back, placed(scale, 0.0, at(x, behind, z)));
+                maker.place(hidden, back, placed(scale, 0.0, at(x, z, behind)));
             }
         }
     }

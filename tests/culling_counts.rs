@@ -352,7 +352,8 @@ fn thousands_of_hidden_nodes_are_decided_by_few_questions() {
     let ran = stage.run(Algorithm::ChcPlus(options), Latency::Batches, &views, |_, _, _, _| {});
     let last = ran[49];
     assert!(last.hidden_nodes_decided >= 5000, "{last:?}");
-    assert!(last.leaves_drawn >= 76 * 76 && last.leaves_drawn <= 76 * 76 * 11 / 10, "{last:?}");
+    // Each plate, and about one block a plate whose box shows beside it.
+    assert!(last.leaves_drawn >= 76 * 76 && last.leaves_drawn <= 76 * 76 * 11 / 5, "{last:?}");
     let asked = last.multiqueries + last.queries_hidden;
     assert!(asked <= last.hidden_nodes_decided / 50 + 1, "{last:?}");
     assert!(last.blocking_waits <= 1, "{last:?}");

@@ -84,9 +84,9 @@ mod tests {
     #[test]
     fn lines_end_at_the_near_plane_and_at_the_edge() {
         let view = view();
-        // From behind the eye to far ahead and to the right of the picture.
+        // From behind the eye through the picture at the near plane to far ahead, right of it.
         let line =
-            segment_on_screen(&view, DVec3::new(0.1, -5.0, 0.0), DVec3::new(40.0, 20.0, 0.0));
+            segment_on_screen(&view, DVec3::new(-6.3, -5.0, 0.0), DVec3::new(23.7, 20.0, 0.0));
         let [from, to] = line.expect("part of it is seen");
         assert!(from.x >= 0.0 && (to.x - 200.0).abs() < 1e-6 && (to.y - 50.0).abs() < 1e-6);
         let behind = [DVec3::new(0.0, -5.0, 0.0), DVec3::new(3.0, 0.4, 0.0)];

@@ -52,13 +52,15 @@ pub(super) struct SceneCulling {
     /// Number of the last frame that was drawn.
     frame: u32,
     /// Changes with the set of concealed nodes.
-    pub(super) version: u64,
+    version: u64,
     revealed: usize,
     quiet_frames: u32,
     /// The view of the last frame, and how many frames it was drawn in a row.
     drawn_view: Option<View>,
     still_frames: u32,
-    nodes_left_out: u32,
+    /// Nodes that came into sight in the last frame and are not loaded, or have no budget.
+    nodes_missing: u32,
+    is_over_budget: bool,
     /// Whether the budget left nodes out of the last frame's cuts.
     pub(super) budget_binds: bool,
 }
@@ -95,7 +97,8 @@ impl SceneCulling {
             quiet_frames: 0,
             drawn_view: None,
             still_frames: 0,
-            nodes_left_out: 0,
+            nodes_missing: 0,
+            is_over_budget: false,
             budget_binds: false,
         }
     }
@@ -216,13 +219,15 @@ impl SceneCulling {
 
     /// Takes in what a frame drew.
     pub(super) fn note(&mut self, sources: &[Arc<dyn NodeSource>], draws: Option<&CulledDraws>) {
-        let Some(draws) = draws else {
+        let none = CulledDraws::default();
+        self.nodes_missing = draws.unwrap_or(&none).nodes_missing;
+        self.is_over_budget = draws.unwrap_or(&none).nodes_over_budget > 0;
+        if draws.is_none() {
             self.had_points = false;
             return;
-        };
+        }
         self.had_points = self.culler.has_queried();
         self.still_frames += 1;
-        self.nodes_left_out = draws.nodes_left_out;
         let last = self.frame;
         self.frame += 1;
         let tree = self.tree(sources);
@@ -266,7 +271,7 @@ impl SceneCulling {
     fn is_unsettled(&self) -> bool {
         let frees = self.budget_binds && self.quiet_frames < SETTLED_FRAMES;
         let may_go_on = self.has_points && self.had_points && self.still_frames < MOST_STILL_FRAMES;
-        may_go_on && (self.nodes_left_out > 0 || frees)
+        may_go_on && (self.nodes_missing > 0 || self.is_over_budget || frees)
     }
 }
 
@@ -347,11 +352,11 @@ impl Renderer {
         self.note_time("select", milliseconds(start));
     }
 
-    /// Nodes that came into sight and could not be drawn at once.
-    pub(super) fn nodes_left_out(&self) -> u32 {
+    /// Nodes that came into sight and must be read to be drawn.
+    pub(super) fn nodes_missing(&self) -> u32 {
         match &self.frozen {
             Some(_) => 0,
-            None => self.culling.as_ref().map_or(0, |culling| culling.nodes_left_out),
+            None => self.culling.as_ref().map_or(0, |culling| culling.nodes_missing),
         }
     }
 

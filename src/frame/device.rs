@@ -88,6 +88,8 @@ pub(super) struct SceneDrawing<'a> {
     pub(super) models: Option<ModelDrawing<'a>>,
     pub(super) culling: Option<&'a mut SceneCulling>,
     pub(super) sources: &'a [Arc<dyn NodeSource>],
+    /// Whether points are drawn as culling finds them.
+    pub(super) culls_points: bool,
     /// The index of a node among the table's draws.
     pub(super) draw_of: &'a dyn Fn(usize, NodeId) -> Option<u32>,
     /// Whether each draw's points are there.
@@ -109,10 +111,7 @@ impl OnGpu {
         self.timer.begin_frame();
         let gpu = self.gpu.clone();
         let mut culling = scene.culling.take();
-        let with_points = |culling: &&mut SceneCulling| {
-            !scene.table.draws.is_empty() && culling.draws_points(scene.sources, scene.view)
-        };
-        let has_points = culling.as_ref().is_some_and(with_points);
+        let has_points = scene.culls_points && !scene.table.draws.is_empty();
         // Points in the tree and no question: everything in sight is drawn as it always is.
         let passes = culling.take_if(|culling| culling.has_points && !has_points);
         // Culling that has points may find objects at the very edge of the frustum.

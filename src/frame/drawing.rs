@@ -157,9 +157,9 @@ impl Renderer {
                 });
                 // What is frozen is drawn as it was chosen; nothing is asked.
                 let mut culling = self.culling.as_deref_mut().filter(|_| !is_frozen);
-                let has_points =
+                let culls_points =
                     culling.as_ref().is_some_and(|c| c.draws_points(&self.sources, view));
-                let (draws, ready) = match has_points {
+                let (draws, ready) = match culls_points {
                     true => draws_by_node(&self.table, |node| self.cache.contains(node)),
                     false => Default::default(),
                 };
@@ -172,6 +172,7 @@ impl Renderer {
                     models,
                     culling: culling.as_deref_mut(),
                     sources: &self.sources,
+                    culls_points,
                     draw_of: &|cloud, node| draws.get(&(cloud, node)).copied(),
                     ready: &ready,
                 })?;

@@ -15,7 +15,7 @@ impl Renderer {
         0
     }
 
-    pub(super) fn nodes_left_out(&self) -> u32 {
+    pub(super) fn nodes_missing(&self) -> u32 {
         0
     }
 

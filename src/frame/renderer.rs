@@ -260,7 +260,7 @@ impl Renderer {
                 self.shrink_for(error)?;
             }
             // What came into sight is read and drawn in this call, if all shall be.
-            if settings.loading != Loading::All || self.nodes_left_out() == 0 {
+            if settings.loading != Loading::All || self.nodes_missing() == 0 {
                 break;
             }
         }

@@ -97,11 +97,6 @@ impl ChosenNodes {
     pub fn holds(&self, node: NodeId) -> bool {
         self.nodes.get(node.index()).is_some_and(|chosen| chosen.below > 0)
     }
-
-    /// Whether the cut holds points of a node itself.
-    pub fn contains(&self, node: NodeId) -> bool {
-        self.nodes.get(node.index()).is_some_and(|chosen| chosen.points > 0)
-    }
 }
 
 /// One octree of a [`Forest`].
@@ -348,7 +343,9 @@ mod tests {
         }
         let leaf = forest.leaf(1, NodeId(3));
         assert_eq!(forest.points_of_leaf(leaf), Some((1, NodeId(3))));
-        assert!(!chosen[1].contains(NodeId(1)) && chosen[1].contains(NodeId(3)));
+        // Node 1 is there for what is below it alone.
+        assert_eq!([1, 3].map(|node| forest.cost(forest.leaf(1, NodeId(node)))), [0, 1]);
+        assert!(chosen[1].holds(NodeId(1)) && !chosen[1].holds(NodeId(2)));
         assert_eq!(Forest::new(Vec::new()).root(), None);
     }
 }

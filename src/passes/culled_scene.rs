@@ -101,9 +101,10 @@ pub struct CulledDraws {
     pub objects: Vec<ObjectId>,
     /// Indices of draws of the table of points.
     pub draws: Vec<u32>,
-    /// Nodes of points that came into sight and could not be drawn: not loaded, or beyond the
-    /// budget.
-    pub nodes_left_out: u32,
+    /// Nodes of points that came into sight and are not loaded.
+    pub nodes_missing: u32,
+    /// Nodes of points that came into sight beyond the budget.
+    pub nodes_over_budget: u32,
     /// Compute dispatches.
     pub dispatches: u32,
     /// Bytes of tables sent for points.
@@ -304,7 +305,7 @@ impl CulledScene<'_> {
         // What shows and is not there yet was asked for.
         let Some(at) = (points.draw_of)(cloud, node) else { return };
         if !points.ready[at as usize] {
-            done.nodes_left_out += 1;
+            done.nodes_missing += 1;
             return;
         }
         let table = points.drawing.table;
@@ -314,7 +315,7 @@ impl CulledScene<'_> {
             match points.spare_points.checked_sub(count) {
                 Some(left) => points.spare_points = left,
                 None => {
-                    done.nodes_left_out += 1;
+                    done.nodes_over_budget += 1;
                     return;
                 }
             }

@@ -176,3 +176,29 @@ fn either_way_the_picture_is_that_of_its_cut() {
         assert!(pacing.frames_cut_short >= 1, "and the CPU hears of it: {pacing:?}");
     }
 }
+
+/// What the device left out half-way comes once the view rests, and then nothing more.
+#[test]
+fn a_view_at_rest_shows_what_was_cut_short() {
+    let Some(gpu) = device::gpu() else { return };
+    if !gpu.has_timestamps() || !gpu.draws_by_compute() {
+        return;
+    }
+    let (full, ..) = drawn(&gpu, RasterPath::Compute, 60_000, None);
+    let mut renderer =
+        Renderer::on_gpu(gpu.clone(), RasterPath::Compute, 1 << 28).expect("a renderer");
+    renderer.set_scene(vec![Arc::new(cloud())]);
+    renderer.set_calibration(cheap());
+    let mut settings = FrameSettings { target_ms: Some(1e-3), ..FrameSettings::default() };
+    settings.checkpoint = InFrameCheckpoint::On;
+    settings.cut.error_px = 0.01;
+    settings.cut.point_budget = 60_000;
+    let picture =
+        |renderer: &mut Renderer| renderer.read_picture().expect("it reads").expect("there is one");
+    assert!(!renderer.render(&view(), &settings).expect("it draws").complete);
+    assert!(picture(&mut renderer) != full, "cut short");
+    assert!(renderer.render(&view(), &settings).expect("it draws").complete);
+    assert!(picture(&mut renderer) == full, "at rest");
+    assert!(renderer.render(&view(), &settings).expect("it draws").unchanged);
+    gpu.wait().expect("it ends");
+}

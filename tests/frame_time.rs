@@ -165,6 +165,53 @@ fn a_target_changes_the_budget_and_nothing_else() {
     assert_eq!(timed.picture(), counted.picture());
 }
 
+/// A target is for views that move: one that rests comes to all it may show, in few frames, then
+/// nothing is drawn any more; as soon as it moves, frames fit again.
+#[test]
+fn a_view_at_rest_comes_to_all_its_points() {
+    let mut free = Renderer::on_cpu(1 << 28);
+    free.set_scene(vec![Arc::new(cloud())]);
+    let all = free.render(&view(3), &settings(None)).expect("it draws").points_drawn;
+    for target_ms in [0.0, 1.0, 5.0] {
+        let mut renderer = renderer();
+        let (first, few) = paced(&mut renderer, &view(3), target_ms);
+        assert!(!renderer.stats().complete && !first.rests, "{target_ms} ms hold something back");
+        assert!(few < all / 4, "{target_ms} ms: {few} of {all}");
+        let (mut drawn, mut last) = (0, few);
+        while !renderer.render(&view(3), &settings(Some(target_ms))).expect("it draws").unchanged {
+            let stats = renderer.stats();
+            let pacing = stats.pacing.expect("there is a target");
+            assert!(pacing.rests && pacing.cuts_tried == 0, "{pacing:?}");
+            assert!(stats.points_drawn > last, "every frame shows more: {last} {stats:?}");
+            last = stats.points_drawn;
+            drawn += 1;
+            assert!(drawn <= 8, "{target_ms} ms: {last} of {all} after {drawn} frames at rest");
+        }
+        assert_eq!(last, all, "{target_ms} ms");
+        assert_eq!(renderer.picture(), free.picture());
+        let (moved, points) = paced(&mut renderer, &view(4), target_ms);
+        assert!(!moved.rests && points < all / 4, "{target_ms} ms: {points} {moved:?}");
+    }
+}
+
+/// The budget that was asked for ends it, not that of the time; other settings are another view.
+#[test]
+fn a_view_at_rest_keeps_to_the_budget_that_was_asked_for() {
+    let mut renderer = renderer();
+    let mut asked = settings(Some(1.0));
+    asked.cut.point_budget = 20_000;
+    for _ in 0..10 {
+        renderer.render(&view(3), &asked).expect("it draws");
+    }
+    assert!(renderer.stats().unchanged);
+    asked.background ^= 0xff;
+    let stats = renderer.render(&view(3), &asked).expect("it draws").clone();
+    assert!(stats.points_drawn < 5_000 && !stats.complete, "{stats:?}");
+    let stats = renderer.render(&view(3), &asked).expect("it draws");
+    assert!((5_000..=20_000).contains(&stats.points_drawn), "{stats:?}");
+    assert!(stats.complete, "{stats:?}");
+}
+
 #[test]
 fn measuring_gives_prices_that_tell_points_from_pixels() {
     let mut renderer = Renderer::on_cpu(1 << 28);

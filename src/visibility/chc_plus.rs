@@ -23,6 +23,7 @@ use crate::visibility::coherence::{CoherenceTable, KeepRule};
 use crate::visibility::frontier::Order;
 use crate::visibility::grouping::best_group;
 use crate::visibility::history::{LONGEST_PERSISTENCE, NodeHistory};
+use crate::visibility::retest::RetestTable;
 use crate::visibility::tight::TightBounds;
 use crate::visibility::walk::{LateAnswers, Reached, Walk};
 use crate::visibility::{Answer, QueryId};
@@ -42,10 +43,10 @@ pub struct ChcPlusOptions {
     pub jitter: bool,
     /// Frames between two tests of a visible leaf, at least 1. 5 to 10 are safe.
     pub assumed_visible_frames: u32,
-    /// Whether the frames between two tests grow with the tests that a leaf passed, from 1 to 4 up
-    /// to `assumed_visible_frames`: leaves that come and go are drawn less in vain, for more
-    /// questions.
-    pub growing_period: bool,
+    /// Share of the drawn leaves that may be drawn in vain, as far as known: leaves that go out of
+    /// sight soon are asked about more often than once in `assumed_visible_frames`. `None`: no bound,
+    /// as published.
+    pub in_vain: Option<f64>,
     /// Tight bounds; `None` asks with the node's own box.
     pub tight: Option<TightCut>,
     /// Fewer waits for somewhat more drawing: hidden nodes are asked about before visible leaves
@@ -78,7 +79,7 @@ impl Default for ChcPlusOptions {
             keep: KeepRule::Measured,
             jitter: true,
             assumed_visible_frames: 10,
-            growing_period: true,
+            in_vain: Some(0.07),
             tight: Some(TightCut::default()),
             optimized: true,
             remember_splits: true,
@@ -100,7 +101,7 @@ impl ChcPlusOptions {
         keep: KeepRule::Measured,
         jitter: false,
         assumed_visible_frames: 1,
-        growing_period: false,
+        in_vain: None,
         tight: None,
         optimized: false,
         remember_splits: false,
@@ -155,6 +156,7 @@ pub(super) struct ChcPlus {
     opened: Vec<TreeNodeId>,
     hidden_table: CoherenceTable,
     visible_table: CoherenceTable,
+    retests: RetestTable,
     tight: TightBounds,
     boxes: Vec<Aabb>,
     sorted: Vec<(f64, TreeNodeId)>,
@@ -195,6 +197,7 @@ impl ChcPlus {
         if let Some(limits) = options.tight {
             self.tight.prepare(walk.tree, limits);
         }
+        self.retests.begin_frame();
         self.finish_last_frame(walk, options);
         walk.start(options.order);
         loop {
@@ -491,6 +494,9 @@ impl ChcPlus {
         let table = if was_visible { &mut self.visible_table } else { &mut self.hidden_table };
         let history = walk.history.node(node);
         let kept = visible == was_visible;
+        if was_visible {
+            self.retests.record(history.persistence, u32::from(history.waited), !visible);
+        }
         table.record(history.persistence, kept);
         history.persistence =
             if kept { (history.persistence + 1).min(LONGEST_PERSISTENCE) } else { 0 };
@@ -508,16 +514,19 @@ impl ChcPlus {
         let history = walk.history.node(leaf);
         let tested = history.last_visited;
         let mut random = Random::new(u64::from(leaf.0), u64::from(tested));
-        let grown = 4u32 << history.persistence.min(28);
-        let wait = if options.growing_period && grown < period {
-            // Random at each step, so that leaves that appeared together part.
-            1 + random.below(u64::from(grown)) as u32
+        let bounded = options
+            .in_vain
+            .map_or(period, |share| self.retests.period(history.persistence, share, period));
+        let wait = if bounded < period {
+            // Random, so that leaves that appeared together part.
+            bounded.div_ceil(2) + random.below(u64::from(bounded)) as u32
         } else if turned_visible && options.jitter && period > 1 {
             1 + random.below(u64::from(period - 1)) as u32
         } else {
             period
         };
         history.next_test = tested.wrapping_add(wait);
+        history.waited = wait.min(255) as u8;
     }
 
     /// Reads what the last frame left open: tests of visible leaves, and, where late answers are

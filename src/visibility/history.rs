@@ -29,6 +29,8 @@ pub(super) struct NodeHistory {
     pub split_until: u32,
     /// How often in a row the box was visible and nothing in it.
     pub splits: u8,
+    /// Visible leaves: frames from the last test to `next_test`.
+    pub waited: u8,
     pub visible: bool,
     /// Whether it is drawn in the frame `last_visited` without being asked about.
     pub forced: bool,

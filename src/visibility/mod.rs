@@ -28,6 +28,7 @@ mod near_optimal;
 mod optimum;
 mod proxy;
 mod reference;
+mod retest;
 mod software;
 mod states;
 mod tight;

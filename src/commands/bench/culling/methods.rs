@@ -39,6 +39,7 @@ pub(super) fn all() -> Vec<Method> {
         named("near-optimal", Algorithm::NearOptimal(chc(), costs)),
         named("chc++ classic", Algorithm::ChcPlus(ChcPlusOptions { optimized: false, ..plus() })),
         named("chc++", Algorithm::ChcPlus(plus())),
+        named("chc++, fixed", Algorithm::ChcPlus(ChcPlusOptions { in_vain: None, ..plus() })),
         named("chc++, leaf 1000", Algorithm::ChcPlus(ChcPlusOptions { leaf_cost: 1000, ..plus() })),
         named("auto", Algorithm::Auto(plus(), costs)),
     ]
@@ -53,7 +54,7 @@ pub(super) fn ablation() -> Vec<Method> {
     let multi = ChcPlusOptions { multiqueries: true, ..tight };
     let optimized = ChcPlusOptions { optimized: true, ..multi };
     let rested = ChcPlusOptions { remember_splits: true, ..optimized };
-    let growing = ChcPlusOptions { growing_period: true, ..rested };
+    let bounded = ChcPlusOptions { in_vain: plus().in_vain, ..rested };
     vec![
         named("frustum", Algorithm::Frustum),
         named("chc", Algorithm::Chc(chc())),
@@ -63,6 +64,6 @@ pub(super) fn ablation() -> Vec<Method> {
         named("+MQ multiqueries", Algorithm::ChcPlus(multi)),
         named("+OPT", Algorithm::ChcPlus(optimized)),
         named("+remembered splits", Algorithm::ChcPlus(rested)),
-        named("+growing period", Algorithm::ChcPlus(growing)),
+        named("+bounded waste", Algorithm::ChcPlus(bounded)),
     ]
 }

@@ -54,6 +54,7 @@ fn methods() -> Vec<(&'static str, FrameSettings)> {
         ("a frame late", with(Algorithm::Chc(ChcOptions { late, ..chc }))),
         ("chc", with(Algorithm::Chc(chc))),
         ("chc++", with(Algorithm::ChcPlus(plus))),
+        ("chc++, fixed", with(Algorithm::ChcPlus(ChcPlusOptions { in_vain: None, ..plus }))),
         ("chc++, 4 rounds", with(Algorithm::ChcPlus(ChcPlusOptions { late: few, ..plus }))),
         ("chc++, pyramid", by_pyramid(Algorithm::ChcPlus(plus))),
         ("two-pass", with(Algorithm::TwoPass)),

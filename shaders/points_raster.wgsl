@@ -3,6 +3,11 @@
 // In: frame, nodes, words (gpu::layout); the instance is the node's slot. Out: colour, depth.
 // Covers the same pixels as points_compute: corners are whole pixels, so fixed-function rounding
 // has no say. Twin: passes::PointsCpu. Test: tests/gpu_twins.rs. Not run when no node is drawn.
+//
+// Depth tests keep the first of several points at one depth; here the smallest colour is to stay,
+// as on the other paths. So points are drawn twice: for the order of the nearest distance
+// (`nearest_order`), then, of those that have it, for the colour, whose order stands in for depth
+// (`color_of_nearest`). At last orders become the depth that everything else reads.
 #import shared/splat
 
 // Whether of some nodes only a share of the points is drawn. Fixed per pipeline.
@@ -79,6 +84,84 @@ fn square_vertex(@builtin(vertex_index) vertex: u32, @builtin(instance_index) sl
     let first = splat_corner(center, size);
     let square = vec3<i32>(first, i32(size));
     return vertex_at(vec2<f32>(first) + offset, square, screen.z, words[node.colors_at + point]);
+}
+
+// Of the first drawing; read by the second.
+@group(2) @binding(0) var nearest: texture_depth_2d;
+
+const ONE_BITS = 0x3f800000u;
+const SMALLEST_NORMAL_BITS = 0x00800000u;
+
+// A depth that orders distances without losing any: nearer is greater, 1 at the near plane.
+fn distance_order(distance: f32) -> f32 {
+    let beyond = bitcast<u32>(distance) - bitcast<u32>(frame.near);
+    return bitcast<f32>(ONE_BITS - min(beyond, ONE_BITS - SMALLEST_NORMAL_BITS));
+}
+
+fn distance_of_order(order: f32) -> f32 {
+    return bitcast<f32>(bitcast<u32>(frame.near) + (ONE_BITS - bitcast<u32>(order)));
+}
+
+// A depth that orders colours: the smaller the word, the greater. All words are opaque.
+fn color_order(color: u32) -> f32 {
+    return f32(0x1000000u - (color & 0xffffffu)) * 0x1p-24;
+}
+
+// What a point puts into a pixel.
+struct Mark {
+    color: u32,
+    distance: f32,
+    is_there: bool,
+}
+
+fn mark_of(vertex: Vertex) -> Mark {
+    let has_shape = (SPLAT_SHAPE == ROUND || SPLAT_SHAPE == SPHERE) && vertex.square.z > 1;
+    if !has_shape {
+        return Mark(vertex.color, vertex.distance, true);
+    }
+    let reach = reach_of(vertex);
+    if SPLAT_SHAPE != SPHERE || reach > 1.0 {
+        return Mark(vertex.color, vertex.distance, reach <= 1.0);
+    }
+    let height = ball_height(reach);
+    let distance = ball_distance(vertex.distance, f32(vertex.square.z), height);
+    return Mark(ball_color(vertex.color, height), distance, true);
+}
+
+@fragment
+fn nearest_order(vertex: Vertex) -> @builtin(frag_depth) f32 {
+    let mark = mark_of(vertex);
+    if !mark.is_there {
+        discard;
+    }
+    return distance_order(mark.distance);
+}
+
+struct ColorAndOrder {
+    @location(0) color: vec4<f32>,
+    @builtin(frag_depth) order: f32,
+}
+
+@fragment
+fn color_of_nearest(vertex: Vertex) -> ColorAndOrder {
+    let mark = mark_of(vertex);
+    let order = textureLoad(nearest, vec2<i32>(vertex.position.xy), 0);
+    if !mark.is_there || distance_order(mark.distance) != order {
+        discard;
+    }
+    return ColorAndOrder(unpack4x8unorm(mark.color), color_order(mark.color));
+}
+
+// One triangle that covers the target.
+@vertex
+fn cover_target(@builtin(vertex_index) vertex: u32) -> @builtin(position) vec4<f32> {
+    return vec4<f32>(f32(vertex & 1u) * 4.0 - 1.0, f32(vertex >> 1u) * 4.0 - 1.0, 0.0, 1.0);
+}
+
+@fragment
+fn depth_of_nearest(@builtin(position) position: vec4<f32>) -> @builtin(frag_depth) f32 {
+    let order = textureLoad(nearest, vec2<i32>(position.xy), 0);
+    return select(frame.near / distance_of_order(order), 0.0, order == 0.0);
 }
 
 @fragment

@@ -65,7 +65,7 @@ pub(super) struct OnGpu {
 #[cfg(feature = "gpu")]
 pub(super) enum GpuPass {
     Compute(Box<PointsCompute>),
-    Raster(PointsRaster),
+    Raster(Box<PointsRaster>),
 }
 
 /// The objects of models that a frame shows.

@@ -27,7 +27,7 @@ use crate::gpu::{Gpu, PassTimer, WordArena, shader::PixelAtomics};
 use crate::ids::NodeId;
 use crate::passes::{DrawTable, Picture, PointsCpu, Tile};
 #[cfg(feature = "gpu")]
-use crate::passes::{EarlyOut, Finish, PointsCompute, PointsRaster};
+use crate::passes::{EarlyOut, Finish, PointsCompute, PointsRaster, Ties};
 use crate::select::{Cut, CutScratch, mean_spacing};
 use crate::stream::SceneNode;
 
@@ -94,7 +94,9 @@ impl Renderer {
         let pass = match path {
             RasterPath::Compute => compute(gpu.wide_atomics())?,
             RasterPath::Compute32 => compute(PixelAtomics::Narrow)?,
-            RasterPath::Raster => GpuPass::Raster(PointsRaster::new(&gpu)?),
+            RasterPath::Raster => {
+                GpuPass::Raster(Box::new(PointsRaster::new(&gpu, Ties::default())?))
+            }
             RasterPath::Cpu => return Ok(Renderer::on_cpu(limit_bytes)),
         };
         Renderer::with_pass(gpu, pass, limit_bytes)
@@ -109,6 +111,14 @@ impl Renderer {
     ) -> Result<Self, FrameError> {
         let pass = PointsCompute::new(&gpu, gpu.wide_atomics(), early_out)?;
         Renderer::with_pass(gpu, GpuPass::Compute(Box::new(pass)), limit_bytes)
+    }
+
+    /// A renderer by a plain list of points, of which the first at a depth stays; to measure what
+    /// the other ways are better and dearer by.
+    #[cfg(feature = "gpu")]
+    pub fn with_point_list(gpu: Arc<Gpu>, limit_bytes: u64) -> Result<Self, FrameError> {
+        let pass = PointsRaster::new(&gpu, Ties::FirstDrawn)?;
+        Renderer::with_pass(gpu, GpuPass::Raster(Box::new(pass)), limit_bytes)
     }
 
     #[cfg(feature = "gpu")]

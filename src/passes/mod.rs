@@ -48,6 +48,8 @@ mod points_compute;
 #[cfg(feature = "gpu")]
 mod points_raster;
 #[cfg(feature = "gpu")]
+mod points_raster_ties;
+#[cfg(feature = "gpu")]
 mod points_rounds;
 #[cfg(feature = "gpu")]
 mod pyramid_answers;
@@ -118,7 +120,7 @@ pub use points_bare::PointsBare;
 #[cfg(feature = "gpu")]
 pub use points_compute::{EarlyOut, PointsCompute};
 #[cfg(feature = "gpu")]
-pub use points_raster::PointsRaster;
+pub use points_raster::{PointsRaster, Ties};
 #[cfg(feature = "gpu")]
 pub use pyramid_answers::PyramidAnswers;
 #[cfg(feature = "gpu")]

@@ -55,17 +55,22 @@ impl DepthTarget {
 
     /// Adds the commands that empty it.
     pub fn clear(&self, encoder: &mut wgpu::CommandEncoder) {
-        let empty =
-            wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Store };
         encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("clear depth"),
-            depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                view: &self.view,
-                depth_ops: Some(empty),
-                stencil_ops: None,
-            }),
+            depth_stencil_attachment: Some(self.cleared()),
             ..Default::default()
         });
+    }
+
+    /// The attachment of a pass that begins with nothing in it.
+    pub fn cleared(&self) -> wgpu::RenderPassDepthStencilAttachment<'_> {
+        let empty =
+            wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Store };
+        wgpu::RenderPassDepthStencilAttachment {
+            view: &self.view,
+            depth_ops: Some(empty),
+            stencil_ops: None,
+        }
     }
 }
 

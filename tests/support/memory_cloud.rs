@@ -1,7 +1,7 @@
 //! A small octree in memory, built straight from the definition, for tests that draw.
 //!
 //! Every node takes one point per occupied cell and level, the first in Morton order; what is left
-//! goes to the children, however few. Not the builder under test elsewhere: slow and simple.
+//! goes to the children, however few. Points at one place keep their order. Not the builder under test elsewhere: slow and simple.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -42,7 +42,8 @@ impl MemoryCloud {
         }
         let mut coded: Vec<_> =
             points.iter().map(|&(cell, color)| (u128::encode(cell.to_array()), color)).collect();
-        coded.sort();
+        // Stable: points at one place stay in the order they came in, whatever their colours.
+        coded.sort_by_key(|&(code, _)| code);
         let mut nodes = Vec::new();
         let (mut positions, mut colors) = (Vec::new(), Vec::new());
         let mut open = Vec::new();

@@ -167,8 +167,11 @@ impl Way {
         let mut ways = Vec::new();
         for path in RasterPath::offered_by(gpu) {
             let renderer = Renderer::on_gpu(Arc::clone(gpu), path, LIMIT_BYTES)?;
-            let name = if path == RasterPath::Raster { "point list" } else { path.name() };
-            ways.push(Way::new(name, renderer, source, &settings));
+            ways.push(Way::new(path.name(), renderer, source, &settings));
+        }
+        if gpu.draws_by_raster() {
+            let renderer = Renderer::with_point_list(Arc::clone(gpu), LIMIT_BYTES)?;
+            ways.push(Way::new("point list", renderer, source, &settings));
         }
         if gpu.draws_by_compute() {
             for (name, early_out) in
@@ -203,7 +206,7 @@ impl Way {
             ways.push(Way::new(name, renderer, source, &settings));
         }
         if gpu.draws_by_raster() {
-            let renderer = Renderer::on_gpu(Arc::clone(gpu), RasterPath::Raster, LIMIT_BYTES)?;
+            let renderer = Renderer::with_point_list(Arc::clone(gpu), LIMIT_BYTES)?;
             ways.push(Way::new("quads", renderer, source, settings));
         }
         ways.push(Way::new("cpu", Renderer::on_cpu(LIMIT_BYTES), source, settings));

@@ -4,19 +4,22 @@
 
 #[path = "support/device.rs"]
 mod device;
+#[path = "support/film.rs"]
+mod film;
 #[path = "support/memory_cloud.rs"]
 mod memory_cloud;
 
 use std::sync::Arc;
 
 use device::gpu;
-use esker::frame::{FrameSettings, FrameStats, NodeSource, RasterPath, Renderer};
+use esker::frame::{FrameSettings, FrameStats, RasterPath, Renderer};
 use esker::geometry::View;
 use esker::mesh::Model;
-use esker::mesh::scenes::{CameraPath, ModelScene, SceneKind, camera_path};
+use esker::mesh::scenes::{CameraPath, ModelScene, SceneKind};
 use esker::passes::Picture;
 use esker::points::Lattice;
 use esker::visibility::{Algorithm, ChcOptions, ChcPlusOptions, CullingCosts, LateAnswers};
+use film::{assert_same, film};
 use glam::{DVec3, UVec3};
 use memory_cloud::MemoryCloud;
 
@@ -24,28 +27,7 @@ const WIDTH: u32 = 320;
 const HEIGHT: u32 = 200;
 
 fn views(scene: &ModelScene, path: CameraPath, frames: u32) -> Vec<View> {
-    let view = |camera| View { camera, width_px: WIDTH, height_px: HEIGHT };
-    camera_path(scene, path, frames).into_iter().map(view).collect()
-}
-
-/// The pictures along views, with what each frame did.
-fn film(
-    model: &Arc<Model>,
-    cloud: Option<&Arc<MemoryCloud>>,
-    views: &[View],
-    culling: Algorithm,
-) -> Vec<(Picture, FrameStats)> {
-    let gpu = gpu().expect("asked before");
-    let mut renderer = Renderer::on_gpu(gpu, RasterPath::Compute, 1 << 28).unwrap();
-    renderer
-        .set_scene(cloud.map(|cloud| cloud.clone() as Arc<dyn NodeSource>).into_iter().collect());
-    renderer.set_model(model.clone());
-    let settings = FrameSettings { culling, ..FrameSettings::default() };
-    let frame = |view: &View| {
-        let stats = renderer.render(view, &settings).unwrap().clone();
-        (renderer.read_picture().unwrap().expect("a frame was drawn"), stats)
-    };
-    views.iter().map(frame).collect()
+    film::views(scene, path, frames, (WIDTH, HEIGHT))
 }
 
 fn algorithms() -> Vec<Algorithm> {
@@ -58,14 +40,6 @@ fn algorithms() -> Vec<Algorithm> {
         Algorithm::ChcPlus(ChcPlusOptions { late: LateAnswers::Rounds(1), ..plus }),
         Algorithm::Auto(plus, CullingCosts::default()),
     ]
-}
-
-fn assert_same(expected: &[(Picture, FrameStats)], found: &[(Picture, FrameStats)], what: &str) {
-    for (frame, (a, b)) in expected.iter().zip(found).enumerate() {
-        let colors = a.0.colors.iter().zip(&b.0.colors).filter(|(a, b)| a != b).count();
-        let depths = a.0.distances.iter().zip(&b.0.distances).filter(|(a, b)| a != b).count();
-        assert_eq!((colors, depths), (0, 0), "{what}, frame {frame}");
-    }
 }
 
 #[test]

@@ -4,64 +4,25 @@
 
 #[path = "support/device.rs"]
 mod device;
+#[path = "support/film.rs"]
+mod film;
 #[path = "support/memory_cloud.rs"]
 mod memory_cloud;
 
 use std::sync::Arc;
 
 use device::gpu;
-use esker::frame::{CullingAnswers, FrameSettings, FrameStats, NodeSource, RasterPath, Renderer};
+use esker::frame::{CullingAnswers, FrameSettings, RasterPath, Renderer};
 use esker::geometry::View;
 use esker::gpu::Gpu;
 use esker::ids::ObjectId;
 use esker::mesh::Model;
-use esker::mesh::scenes::{CameraPath, ModelScene, SceneKind, camera_path};
-use esker::passes::Picture;
+use esker::mesh::scenes::{CameraPath, SceneKind};
 use esker::points::Lattice;
 use esker::visibility::{Algorithm, ChcOptions, ChcPlusOptions, ItemBuffer};
+use film::{assert_same, film, renderer, settings, shoot, views};
 use glam::{DAffine3, DVec3, UVec3};
 use memory_cloud::MemoryCloud;
-
-fn views(scene: &ModelScene, path: CameraPath, frames: u32, size: (u32, u32)) -> Vec<View> {
-    let view = |camera| View { camera, width_px: size.0, height_px: size.1 };
-    camera_path(scene, path, frames).into_iter().map(view).collect()
-}
-
-fn settings(culling: Algorithm) -> FrameSettings {
-    FrameSettings { culling, ..FrameSettings::default() }
-}
-
-fn renderer(model: &Arc<Model>, cloud: Option<&Arc<MemoryCloud>>) -> Renderer {
-    let gpu = gpu().expect("asked before");
-    let mut renderer = Renderer::on_gpu(gpu, RasterPath::Compute, 1 << 28).unwrap();
-    renderer
-        .set_scene(cloud.map(|cloud| cloud.clone() as Arc<dyn NodeSource>).into_iter().collect());
-    renderer.set_model(model.clone());
-    renderer
-}
-
-fn shoot(renderer: &mut Renderer, view: &View, culling: Algorithm) -> (Picture, FrameStats) {
-    let stats = renderer.render(view, &settings(culling)).unwrap().clone();
-    (renderer.read_picture().unwrap().expect("a frame was drawn"), stats)
-}
-
-fn film(
-    model: &Arc<Model>,
-    cloud: Option<&Arc<MemoryCloud>>,
-    views: &[View],
-    culling: Algorithm,
-) -> Vec<(Picture, FrameStats)> {
-    let mut renderer = renderer(model, cloud);
-    views.iter().map(|view| shoot(&mut renderer, view, culling)).collect()
-}
-
-fn assert_same(expected: &[(Picture, FrameStats)], found: &[(Picture, FrameStats)], what: &str) {
-    for (frame, (a, b)) in expected.iter().zip(found).enumerate() {
-        let colors = a.0.colors.iter().zip(&b.0.colors).filter(|(a, b)| a != b).count();
-        let depths = a.0.distances.iter().zip(&b.0.distances).filter(|(a, b)| a != b).count();
-        assert_eq!((colors, depths), (0, 0), "{what}, frame {frame}");
-    }
-}
 
 #[test]
 fn pictures_are_those_of_everything_in_view() {

@@ -43,7 +43,7 @@ pub struct ChcPlusOptions {
     pub jitter: bool,
     /// Frames between two tests of a visible leaf, at least 1. 5 to 10 are safe.
     pub assumed_visible_frames: u32,
-    /// Share of the drawn leaves that may be drawn in vain, as far as known: leaves that go out of
+    /// Share of the drawn triangles that may be drawn in vain, as far as known: leaves that go out of
     /// sight soon are asked about more often than once in `assumed_visible_frames`. `None`: no bound,
     /// as published.
     pub in_vain: Option<f64>,
@@ -495,7 +495,8 @@ impl ChcPlus {
         let history = walk.history.node(node);
         let kept = visible == was_visible;
         if was_visible {
-            self.retests.record(history.persistence, u32::from(history.waited), !visible);
+            let cost = walk.tree.cost(node);
+            self.retests.record(history.persistence, u32::from(history.waited), cost, !visible);
         }
         table.record(history.persistence, kept);
         history.persistence =

@@ -1,10 +1,11 @@
 //! When a visible leaf is asked about again.
 //!
-//! A leaf that went out of sight is drawn in vain until its next test. If a share `h` of the leaves
-//! go out of sight in a frame and each is tested every `n` frames, a share `h n / 2` of what is drawn
-//! is drawn in vain. What just came into sight goes out of it far more often than what has long been
-//! there, so `h` is counted for each number of tests passed in a row. Of all periods that keep the
-//! share drawn in vain at a given bound, `n` in proportion to `1 / sqrt(h)` asks least (Lagrange).
+//! A leaf that went out of sight is drawn in vain until its next test. If a share `h` of the leaves,
+//! by what they cost, goes out of sight in a frame and each is tested every `n` frames, a share
+//! `h n / 2` of the drawing is in vain. What just came into sight goes out of it far more often than
+//! what has long been there, so `h` is counted for each number of tests passed in a row. Of all
+//! periods that keep the share drawn in vain at a given bound, `n` in proportion to `1 / sqrt(c h)`
+//! asks least, with `c` the mean cost of a leaf (Lagrange).
 
 /// Numbers of passed tests that are told apart.
 const CLASSES: usize = 8;
@@ -13,40 +14,52 @@ const FADING: f64 = 0.97;
 /// Leaf frames that the first guess counts for.
 const GUESSED_FRAMES: f64 = 16.0;
 
-/// Counts of leaves that went out of sight, per class.
+/// Counts of visible leaves and of those that went out of sight, per class.
 #[derive(Clone, Debug, Default)]
 pub(super) struct RetestTable {
+    /// Frames of leaves.
     frames: [f64; CLASSES],
+    /// The same, each leaf weighed by its cost.
+    costs: [f64; CLASSES],
+    /// Cost of the leaves that went out of sight.
     lost: [f64; CLASSES],
     /// Periods for a share of 1 drawn in vain.
     periods: [f64; CLASSES],
 }
 
 impl RetestTable {
-    /// Takes in the test of a leaf that had passed `passed` tests, the last one `frames` ago.
-    pub fn record(&mut self, passed: u16, frames: u32, lost: bool) {
+    /// Takes in the test of a leaf of that cost that had passed `passed` tests, the last one `frames`
+    /// ago.
+    pub fn record(&mut self, passed: u16, frames: u32, cost: u64, lost: bool) {
         let class = class_of(passed);
-        let frames = f64::from(frames.max(1));
+        let (frames, cost) = (f64::from(frames.max(1)), cost.max(1) as f64);
         // It went at some time since the last test: in the middle, on average.
-        self.frames[class] += if lost { 0.5 * (frames + 1.0) } else { frames };
-        self.lost[class] += f64::from(u8::from(lost));
+        let visible = if lost { 0.5 * (frames + 1.0) } else { frames };
+        self.frames[class] += visible;
+        self.costs[class] += cost * visible;
+        self.lost[class] += if lost { cost } else { 0.0 };
     }
 
     /// Works the periods out; older frames count less from now on.
     pub fn begin_frame(&mut self) {
-        self.frames.iter_mut().chain(&mut self.lost).for_each(|count| *count *= FADING);
-        let frames = self.frames.map(|frames| frames + GUESSED_FRAMES);
-        let roots: [f64; CLASSES] = std::array::from_fn(|class| {
-            let guess = 0.2 * 0.5f64.powi(class as i32);
-            ((self.lost[class] + guess * GUESSED_FRAMES) / frames[class]).sqrt()
+        let counts = self.frames.iter_mut().chain(&mut self.costs).chain(&mut self.lost);
+        counts.for_each(|count| *count *= FADING);
+        let [all, dear] = [self.frames, self.costs].map(|counts| counts.iter().sum::<f64>());
+        let guessed = GUESSED_FRAMES * if all > 0.0 { dear / all } else { 1.0 };
+        let classes: [(f64, f64, f64); CLASSES] = std::array::from_fn(|class| {
+            let cost = self.costs[class] + guessed;
+            let loss = (self.lost[class] + 0.2 * 0.5f64.powi(class as i32) * guessed) / cost;
+            (self.frames[class] + GUESSED_FRAMES, cost, loss)
         });
-        let all: f64 = frames.iter().sum();
-        let weighted: f64 = frames.iter().zip(&roots).map(|(frames, root)| frames * root).sum();
-        self.periods = roots.map(|root| 2.0 * all / (root * weighted));
+        let drawn: f64 = classes.iter().map(|(_, cost, _)| cost).sum();
+        let asked: f64 =
+            classes.iter().map(|(frames, cost, loss)| (frames * cost * loss).sqrt()).sum();
+        self.periods = classes
+            .map(|(frames, cost, loss)| 2.0 * drawn / asked * (frames / (cost * loss)).sqrt());
     }
 
     /// Frames until the next test of a leaf, at least 1 and at most `most`, with a share `in_vain` of
-    /// the drawn leaves drawn in vain.
+    /// the drawing in vain.
     pub fn period(&self, passed: u16, in_vain: f64, most: u32) -> u32 {
         // Casts of what is no number give 0.
         ((in_vain * self.periods[class_of(passed)]).round() as u32).clamp(1, most.max(1))
@@ -88,7 +101,7 @@ mod tests {
                     questions += u64::from(leaf.next == frame);
                 }
                 if leaf.next == frame {
-                    table.record(leaf.passed, frame - leaf.tested, leaf.gone);
+                    table.record(leaf.passed, frame - leaf.tested, 12, leaf.gone);
                     leaf.passed += 1;
                     if leaf.gone {
                         *leaf = new(frame);
@@ -120,10 +133,23 @@ mod tests {
     fn periods_stay_between_one_and_the_most() {
         let mut table = RetestTable::default();
         assert_eq!(table.period(0, 0.1, 10), 1, "before anything was counted");
-        (0..10_000).for_each(|_| table.record(3, 5, false));
+        (0..10_000).for_each(|_| table.record(3, 5, 80, false));
         table.begin_frame();
         assert_eq!(table.period(3, 0.1, 10), 10);
         assert_eq!(table.period(3, f64::NAN, 10), 1);
         assert_eq!(table.period(3, 0.1, 0), 1);
+    }
+
+    /// Cheap leaves that come and go are no reason to ask about everything.
+    #[test]
+    fn cheap_leaves_that_flicker_change_little() {
+        let mut table = RetestTable::default();
+        for _ in 0..100 {
+            (0..50).for_each(|_| table.record(0, 1, 1, true));
+            (0..50).for_each(|_| table.record(7, 10, 1000, false));
+            table.begin_frame();
+        }
+        assert_eq!(table.period(0, 0.07, 10), 10);
+        assert_eq!(table.period(7, 0.07, 10), 10);
     }
 }

@@ -60,8 +60,8 @@ pub struct BenchArgs {
     /// culling: only these studies [default: all]
     #[arg(long, value_enum, value_delimiter = ',', value_name = "STUDY")]
     culling_study: Vec<culling::Study>,
-    /// culling: only these courses of the study on the device, such as city-walk [default: all]
-    #[cfg(feature = "gpu")]
+    /// culling: only these courses of the studies of methods and of the device, such as city-walk
+    /// [default: all]
     #[arg(long, value_delimiter = ',', value_name = "COURSE")]
     culling_course: Vec<String>,
     /// culling: frames of a course [default: 120, with --quick 12]

@@ -8,6 +8,7 @@ use std::process::ExitCode;
 use std::sync::atomic::Ordering;
 
 use anyhow::Context;
+use clap::builder::PossibleValue;
 use clap::{Args, ValueEnum};
 use glam::DVec3;
 use rayon::prelude::*;
@@ -26,50 +27,41 @@ const PART_POINTS: usize = 1 << 15;
 const BATCH_POINTS: usize = 1 << 19;
 
 /// What the points show.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Subject {
-    /// Hills, houses and trees, scanned from 48 stations and from the air
+    /// Hills, houses and trees, scanned from 48 stations and from the air.
     Scene,
-    /// A cube filled evenly
+    /// A cube filled evenly.
     Cube,
-    /// Surfaces of a city: streets, houses, trees, lamps
-    City,
-    /// Stacked rooms with doors and furniture
-    Rooms,
-    /// Hills with forest
-    Terrain,
-    /// A plant of pipes and tanks
-    Pipes,
-    /// Random boxes
-    Boxes,
-    /// Closed shells inside each other
-    Shells,
-    /// A wall with one window and boxes behind it
-    Window,
-    /// Plates that each hide a block
-    Plates,
-    /// Plates at many depths that each hide ten blocks
-    Field,
-    /// Pairs of cubes behind a wall with a slit
-    Slit,
+    /// The surfaces of a made model.
+    Model(SceneKind),
 }
 
-impl Subject {
-    /// The model to make, for subjects that are one.
-    fn model(self) -> Option<SceneKind> {
-        Some(match self {
-            Subject::Scene | Subject::Cube => return None,
-            Subject::City => SceneKind::City,
-            Subject::Rooms => SceneKind::Rooms,
-            Subject::Terrain => SceneKind::Terrain,
-            Subject::Pipes => SceneKind::Pipes,
-            Subject::Boxes => SceneKind::Boxes,
-            Subject::Shells => SceneKind::Shells,
-            Subject::Window => SceneKind::Window,
-            Subject::Plates => SceneKind::Plates,
-            Subject::Field => SceneKind::Field,
-            Subject::Slit => SceneKind::Slit,
-        })
+const SUBJECTS: [Subject; 2 + SceneKind::ALL.len()] = {
+    let mut all = [Subject::Scene; 2 + SceneKind::ALL.len()];
+    all[1] = Subject::Cube;
+    let mut at = 0;
+    while at < SceneKind::ALL.len() {
+        all[2 + at] = Subject::Model(SceneKind::ALL[at]);
+        at += 1;
+    }
+    all
+};
+
+impl ValueEnum for Subject {
+    fn value_variants<'a>() -> &'a [Self] {
+        &SUBJECTS
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        let (name, help) = match self {
+            Subject::Scene => {
+                ("scene", "Hills, houses and trees, scanned from 48 stations and from the air")
+            }
+            Subject::Cube => ("cube", "A cube filled evenly"),
+            Subject::Model(kind) => (kind.name(), kind.description()),
+        };
+        Some(PossibleValue::new(name).help(help))
     }
 }
 
@@ -187,7 +179,7 @@ fn refuse_existing(args: &GenerateArgs) -> anyhow::Result<()> {
 }
 
 fn make_model(args: &GenerateArgs) -> Option<ModelScene> {
-    let kind = args.subject.model()?;
+    let Subject::Model(kind) = args.subject else { return None };
     Some(kind.make(args.size.unwrap_or(kind.usual_size()), args.seed))
 }
 

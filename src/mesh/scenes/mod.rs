@@ -76,6 +76,22 @@ impl SceneKind {
         }
     }
 
+    /// What there is to see, in a line.
+    pub fn description(self) -> &'static str {
+        match self {
+            SceneKind::City => "Surfaces of a city: streets, houses, trees, lamps",
+            SceneKind::Rooms => "Stacked rooms with doors and furniture",
+            SceneKind::Terrain => "Hills with forest",
+            SceneKind::Pipes => "A plant of pipes and tanks",
+            SceneKind::Boxes => "Random boxes",
+            SceneKind::Shells => "Closed shells inside each other",
+            SceneKind::Window => "A wall with one window and boxes behind it",
+            SceneKind::Plates => "Plates that each hide a block",
+            SceneKind::Field => "Plates at many depths that each hide ten blocks",
+            SceneKind::Slit => "Pairs of cubes behind a wall with a slit",
+        }
+    }
+
     /// A size that gives a scene of some thousand objects.
     pub fn usual_size(self) -> u32 {
         match self {

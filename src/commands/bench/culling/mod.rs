@@ -96,6 +96,15 @@ const COURSES: [(SceneKind, CameraPath); 13] = [
     (SceneKind::Slit, CameraPath::Walk),
 ];
 
+/// The courses that were asked for.
+fn courses(args: &BenchArgs) -> impl Iterator<Item = (SceneKind, CameraPath)> {
+    let chosen = |(kind, path): &(SceneKind, CameraPath)| {
+        let name = format!("{}-{}", kind.name(), path.name());
+        args.culling_course.is_empty() || args.culling_course.contains(&name)
+    };
+    COURSES.into_iter().filter(chosen)
+}
+
 /// Runs the suite.
 pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     let extent = Extent::of(args);

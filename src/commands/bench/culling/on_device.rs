@@ -18,7 +18,7 @@ use crate::passes::Picture;
 use crate::visibility::{Algorithm, ChcOptions, ChcPlusOptions, CullingCosts, LateAnswers};
 
 use super::race::{Result as Raced, cameras};
-use super::{COURSES, Extent, shading};
+use super::{Extent, courses, shading};
 
 /// Frames at the start that are left out of medians: methods learn in them.
 const LEARNING: usize = 4;
@@ -92,11 +92,7 @@ pub(super) fn run(
         "course,method,frames,queries,rounds,waits,objects,triangles,wrong_pixels,frame_ms,\
          median_ratio,total_ratio\n",
     );
-    for (kind, path) in COURSES {
-        let name = format!("{}-{}", kind.name(), path.name());
-        if !args.culling_course.is_empty() && !args.culling_course.contains(&name) {
-            continue;
-        }
+    for (kind, path) in courses(args) {
         course(&gpu, extent, kind, path, &mut csv)?;
     }
     write_file(&args.output.join("culling-device.csv"), &csv)

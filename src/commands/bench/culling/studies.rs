@@ -7,12 +7,12 @@ use crate::visibility::{Algorithm, ChcOptions, ChcPlusOptions, LateAnswers, Late
 
 use super::methods::{self, Method, named};
 use super::race::{Race, Result};
-use super::{COURSES, Extent, report, save_plot};
+use super::{Extent, courses, report, save_plot};
 
 /// All methods on all courses, with the triangles of each frame on the first ones.
 pub(super) fn methods(extent: &Extent, csv: &mut String, args: &BenchArgs) -> anyhow::Result<()> {
     let mut panels = Vec::new();
-    for (kind, path) in COURSES {
+    for (kind, path) in courses(args) {
         let race = Race::run(extent, kind, path, Latency::Batches, &methods::all());
         let name = format!("{} {}", kind.name(), path.name());
         report(&name, &race, csv);

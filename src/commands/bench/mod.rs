@@ -22,6 +22,7 @@ mod steps;
 mod stream;
 mod time;
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::AtomicBool;
@@ -67,6 +68,18 @@ pub struct BenchArgs {
     /// culling: frames of a course [default: 120, with --quick 12]
     #[arg(long, value_name = "FRAMES", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     culling_frames: Option<u32>,
+    /// stream: only these studies [default: all]
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "STUDY")]
+    stream_study: Vec<stream::Study>,
+    /// stream: flights from these disks only [default: all of the suite]
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "DISK")]
+    stream_disk: Vec<stream::DiskChoice>,
+    /// stream: frames of a flight [default: 300, with --quick 45]
+    #[arg(long, value_name = "FRAMES", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    stream_frames: Option<u32>,
+    /// time: only these studies [default: all]
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "STUDY")]
+    time_study: Vec<time::Study>,
     /// convert: most memory to use, such as 2GiB [default: half of what there is]
     #[arg(long, value_parser = parse_bytes)]
     memory: Option<u64>,
@@ -135,6 +148,30 @@ fn machine() -> String {
     let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let name = info.lines().find_map(|line| line.strip_prefix("model name")?.split(": ").nth(1));
     format!("{threads} threads of {}", name.unwrap_or(std::env::consts::ARCH))
+}
+
+/// Rows of a CSV file that are on disk as soon as they are known, so that a suite that is stopped
+/// leaves what it has measured.
+struct RowFile {
+    path: PathBuf,
+    file: std::fs::File,
+}
+
+impl RowFile {
+    /// Begins a file with its header.
+    fn begin(path: PathBuf, header: &str) -> anyhow::Result<Self> {
+        let file = std::fs::File::create(&path)
+            .with_context(|| format!("{}: cannot write", path.display()))?;
+        let mut rows = RowFile { path, file };
+        rows.add(&format!("{header}\n"))?;
+        Ok(rows)
+    }
+
+    /// Adds a line, its end included.
+    fn add(&mut self, line: &str) -> anyhow::Result<()> {
+        let written = self.file.write_all(line.as_bytes());
+        written.with_context(|| format!("{}: cannot write", self.path.display()))
+    }
 }
 
 fn write_file(path: &Path, content: &str) -> anyhow::Result<()> {

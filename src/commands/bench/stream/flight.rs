@@ -1,6 +1,5 @@
 //! The study *flight*: a camera through a store that is larger than the room for it.
 
-use std::fmt::Write;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -8,9 +7,9 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 
 use super::{Drawing, FRAME_TIME, MIB, Plan, largest_node_bytes, open, settings, word_bytes};
-use crate::commands::bench::cameras;
 use crate::commands::bench::plot::{Panel, Scale, Series};
 use crate::commands::bench::slow_bytes::Disk;
+use crate::commands::bench::{RowFile, cameras};
 use crate::frame::{FrameSettings, FrameStats, Loading, NodeSource};
 use crate::metrics::{Pixels, compare, rss_bytes};
 use crate::passes::Picture;
@@ -103,6 +102,12 @@ impl Row {
     }
 }
 
+/// Where the rows of a flight go, frame by frame.
+pub(super) struct FlightRows<'a> {
+    pub(super) scan: &'a str,
+    pub(super) file: &'a mut RowFile,
+}
+
 /// A flight, and what was seen.
 pub(super) struct Flight {
     disk: Disk,
@@ -122,6 +127,7 @@ pub(super) fn fly(
     plan: &Plan,
     disk: Disk,
     caching: Caching,
+    rows: FlightRows,
 ) -> anyhow::Result<Flight> {
     let scene_bytes = word_bytes(store);
     // Nodes of a small scan are large beside it; a few must have room.
@@ -157,7 +163,9 @@ pub(super) fn fly(
         // Pictures that are kept to be looked at later are not the renderer's.
         let kept_bytes: u64 = shown.iter().map(|(_, picture)| picture_bytes(picture)).sum();
         let rss_bytes = rss_bytes().unwrap_or(0).saturating_sub(kept_bytes);
-        frames.push(Row { frame, seconds, frame_ms, stats, reads, rss_bytes });
+        let row = Row { frame, seconds, frame_ms, stats, reads, rss_bytes };
+        rows.file.add(&row.csv(rows.scan, disk, caching))?;
+        frames.push(row);
         if frame % step == step - 1 {
             // Reading back is no part of the flight.
             let start = Instant::now();
@@ -178,37 +186,49 @@ pub(super) fn fly(
     Ok(Flight { disk, caching, limit_bytes, scene_bytes, frames, looked_at })
 }
 
-pub(super) fn flight_table(flights: &[Flight]) -> String {
-    let mut out = String::new();
-    let Some(first) = flights.first() else { return out };
-    let result = writeln!(
-        out,
-        "Flight: {} frames at 30 a second, {} MiB of {} MiB to draw from and as many beside it\n\
-         {:<16}{:<17}{:>9}{:>9}{:>9}{:>9}{:>9}{:>9}{:>9}{:>9}{:>9}{:>8}{:>9}{:>8}{:>9}{:>11}{:>8}",
-        first.frames.len(),
-        first.limit_bytes / MIB,
-        first.scene_bytes / MIB,
-        "disk",
-        "caches",
-        "missing",
-        "p95",
-        "whole",
-        "frame ms",
-        "max ms",
-        "read MiB",
-        "again",
-        "ahead",
-        "evicted",
-        "hits",
-        "ram max",
-        "waited",
-        "skipped",
-        "grown MiB",
-        "rmse"
-    );
-    result.expect("a string takes all text");
-    for flight in flights {
-        let rows = &flight.frames;
+/// What stands below the lines of all flights.
+pub(super) const FLIGHT_NOTES: &str = "missing: share of the wanted nodes that have room and are \
+    not there; grown: resident memory of the process at its highest against the fifth frame; rmse: \
+    colour error of looked-at frames against all that has room\n";
+
+/// The value below which a share of sorted values lies.
+fn at_share(sorted: &[f64], share: f64) -> f64 {
+    let last = sorted.len().saturating_sub(1);
+    sorted.get((share * last as f64).round() as usize).copied().unwrap_or(0.0)
+}
+
+impl Flight {
+    /// Heads the lines of flights like this one.
+    pub(super) fn heading(&self) -> String {
+        format!(
+            "Flight: {} frames at 30 a second, {} MiB of {} MiB to draw from and as many beside it\n\
+             {:<16}{:<17}{:>9}{:>9}{:>9}{:>9}{:>9}{:>9}{:>9}{:>9}{:>9}{:>8}{:>9}{:>8}{:>9}{:>11}{:>8}",
+            self.frames.len(),
+            self.limit_bytes / MIB,
+            self.scene_bytes / MIB,
+            "disk",
+            "caches",
+            "missing",
+            "p95",
+            "whole",
+            "frame ms",
+            "max ms",
+            "read MiB",
+            "again",
+            "ahead",
+            "evicted",
+            "hits",
+            "ram max",
+            "waited",
+            "skipped",
+            "grown MiB",
+            "rmse"
+        )
+    }
+
+    /// This one's line.
+    pub(super) fn line(&self) -> String {
+        let rows = &self.frames;
         let mut missing: Vec<f64> = rows.iter().map(Row::missing).collect();
         let mut times: Vec<f64> = rows.iter().map(|row| row.frame_ms).collect();
         missing.sort_by(f64::total_cmp);
@@ -218,12 +238,11 @@ pub(super) fn flight_table(flights: &[Flight]) -> String {
         let last = rows.last().and_then(|row| row.stats.stream).unwrap_or_default();
         let sum =
             |pick: fn(&FrameStats) -> u64| rows.iter().map(|row| pick(&row.stats)).sum::<u64>();
-        let result = writeln!(
-            out,
+        format!(
             "{:<16}{:<17}{:>8.1}%{:>8.1}%{:>8.1}%{:>9.1}{:>9.1}{:>9.1}{:>9}{:>9}{:>9}{:>8}{:>8.1}%\
-             {:>8}{:>9}{:>11.1}{:>8.2}",
-            flight.disk.name,
-            flight.caching.name(),
+         {:>8}{:>9}{:>11.1}{:>8.2}",
+            self.disk.name,
+            self.caching.name(),
             100.0 * mean,
             100.0 * at_share(&missing, 0.95),
             100.0 * whole as f64 / rows.len().max(1) as f64,
@@ -234,29 +253,14 @@ pub(super) fn flight_table(flights: &[Flight]) -> String {
             last.nodes_read_ahead,
             sum(|stats| stats.nodes_evicted.into()),
             last.ram_hits,
-            100.0 * last.ram_peak_bytes as f64 / flight.limit_bytes.max(1) as f64,
+            100.0 * last.ram_peak_bytes as f64 / self.limit_bytes.max(1) as f64,
             sum(|stats| stats.nodes_waited_for.into()),
             last.exchanges_skipped,
-            flight.grown_bytes() as f64 / MIB as f64,
-            flight.rmse(),
-        );
-        result.expect("a string takes all text");
+            self.grown_bytes() as f64 / MIB as f64,
+            self.rmse(),
+        )
     }
-    out.push_str(
-        "missing: share of the wanted nodes that have room and are not there; grown: resident \
-         memory of the process at its highest against the fifth frame; rmse: colour error of \
-         looked-at frames against all that has room\n\n",
-    );
-    out
-}
 
-/// The value below which a share of sorted values lies.
-fn at_share(sorted: &[f64], share: f64) -> f64 {
-    let last = sorted.len().saturating_sub(1);
-    sorted.get((share * last as f64).round() as usize).copied().unwrap_or(0.0)
-}
-
-impl Flight {
     /// By how much the process grew while it flew, once it had drawn some frames.
     fn grown_bytes(&self) -> u64 {
         let most = self.frames.iter().map(|row| row.rss_bytes).max().unwrap_or(0);

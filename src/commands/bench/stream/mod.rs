@@ -8,7 +8,8 @@
 //! against what the frame wants, and some frames are compared with the picture that has all of it.
 //!
 //! Times are the wall clock's and differ from run to run; counts of reads and bytes nearly repeat
-//! (which nodes are under way when the view changes is a matter of time).
+//! (which nodes are under way when the view changes is a matter of time). Rows of both studies are
+//! written and printed as they come: a run that is stopped leaves what it saw.
 
 mod flight;
 mod start;
@@ -17,12 +18,13 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
+use clap::ValueEnum;
 
-use self::flight::{Caching, FLIGHT_HEADER, flight_table, fly};
-use self::start::{START_HEADER, start_rows, start_table};
+use self::flight::{Caching, FLIGHT_HEADER, FLIGHT_NOTES, FlightRows, fly};
+use self::start::{START_HEADER, start_rows};
 use crate::commands::bench::plot::svg;
 use crate::commands::bench::slow_bytes::{Disk, SlowBytes};
-use crate::commands::bench::{BenchArgs, machine, open_all, write_file};
+use crate::commands::bench::{BenchArgs, RowFile, machine, open_all, write_file};
 use crate::frame::{FIRST_PICTURE_BYTES, FrameSettings, Loading, Renderer};
 use crate::geometry::View;
 use crate::gpu::layout::position_words;
@@ -36,25 +38,70 @@ const MIB: u64 = 1 << 20;
 const PATIENCE: Duration = Duration::from_secs(180);
 const FRAME_TIME: Duration = Duration::from_nanos(33_333_333);
 
+/// The parts of the suite.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Study {
+    /// From opening a store to its first and its whole picture
+    Start,
+    /// A camera through a store that is larger than the room for it
+    Flight,
+}
+
+/// The disks of flights.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum DiskChoice {
+    /// The machine's own
+    Local,
+    /// 8 ms a read, 150 MB/s
+    Spinning,
+    /// 50 ms a read, 25 MB/s
+    Distant,
+}
+
+impl DiskChoice {
+    fn disk(self) -> Disk {
+        match self {
+            DiskChoice::Local => Disk::LOCAL,
+            DiskChoice::Spinning => Disk::SPINNING,
+            DiskChoice::Distant => Disk::DISTANT,
+        }
+    }
+}
+
+impl BenchArgs {
+    fn wants_stream(&self, study: Study) -> bool {
+        self.stream_study.is_empty() || self.stream_study.contains(&study)
+    }
+}
+
 /// What is tried.
 struct Plan {
     size: (u32, u32),
     disks: &'static [Disk],
     quotas: &'static [u64],
     flight_frames: u32,
-    flight_disks: &'static [Disk],
+    flight_disks: Vec<Disk>,
     looked_at: u32,
 }
 
 impl Plan {
     fn new(args: &BenchArgs) -> Self {
+        let mut plan = Plan::of_suite(args);
+        plan.flight_frames = args.stream_frames.unwrap_or(plan.flight_frames);
+        if !args.stream_disk.is_empty() {
+            plan.flight_disks = args.stream_disk.iter().map(|choice| choice.disk()).collect();
+        }
+        plan
+    }
+
+    fn of_suite(args: &BenchArgs) -> Self {
         if args.quick {
             Plan {
                 size: args.size.unwrap_or((640, 360)),
                 disks: &[Disk::LOCAL, Disk::SPINNING],
                 quotas: &[8 * MIB],
                 flight_frames: 45,
-                flight_disks: &[Disk::SPINNING],
+                flight_disks: vec![Disk::SPINNING],
                 looked_at: 2,
             }
         } else {
@@ -63,7 +110,7 @@ impl Plan {
                 disks: &[Disk::LOCAL, Disk::SPINNING, Disk::DISTANT],
                 quotas: &[MIB, 4 * MIB, 8 * MIB, 32 * MIB],
                 flight_frames: 300,
-                flight_disks: &[Disk::LOCAL, Disk::SPINNING, Disk::DISTANT],
+                flight_disks: vec![Disk::LOCAL, Disk::SPINNING, Disk::DISTANT],
                 looked_at: 4,
             }
         }
@@ -75,7 +122,8 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
     let plan = Plan::new(args);
     let folder = tempfile::tempdir()?;
     let drawing = Drawing::open();
-    let (mut starts, mut flights) = (format!("{START_HEADER}\n"), format!("{FLIGHT_HEADER}\n"));
+    let mut starts = RowFile::begin(args.output.join("stream-start.csv"), START_HEADER)?;
+    let mut flights = RowFile::begin(args.output.join("stream-flight.csv"), FLIGHT_HEADER)?;
     for (name, store) in open_all(args, folder.path())? {
         let octree = store.octree();
         let (width, height) = plan.size;
@@ -91,28 +139,30 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
             println!("nothing to stream\n");
             continue;
         }
-        let rows = start_rows(&drawing, &name, &store, &plan)?;
-        rows.iter().for_each(|row| starts.push_str(&row.csv()));
-        print!("{}", start_table(&rows));
+        if args.wants_stream(Study::Start) {
+            start_rows(&drawing, &name, &store, &plan, &mut starts)?;
+        }
+        if !args.wants_stream(Study::Flight) {
+            continue;
+        }
         let mut panels = Vec::new();
-        let mut runs = Vec::new();
-        for &disk in plan.flight_disks {
+        let mut is_first = true;
+        for &disk in &plan.flight_disks {
             for caching in Caching::ALL {
-                let run = fly(&drawing, &store, &plan, disk, caching)?;
-                run.frames.iter().for_each(|row| flights.push_str(&row.csv(&name, disk, caching)));
-                runs.push(run);
+                let rows = FlightRows { scan: &name, file: &mut flights };
+                let run = fly(&drawing, &store, &plan, disk, caching, rows)?;
+                if std::mem::take(&mut is_first) {
+                    println!("{}", run.heading());
+                }
+                println!("{}", run.line());
+                panels.extend(run.panels());
+                run.write_pictures(&args.output, &name)?;
             }
         }
-        print!("{}", flight_table(&runs));
-        for run in &runs {
-            panels.extend(run.panels());
-            run.write_pictures(&args.output, &name)?;
-        }
+        println!("{FLIGHT_NOTES}");
         let heading = format!("{name}: a flight with room for a tenth of it");
         write_file(&args.output.join(format!("stream-{name}.svg")), &svg(&heading, &panels, 3))?;
     }
-    write_file(&args.output.join("stream-start.csv"), &starts)?;
-    write_file(&args.output.join("stream-flight.csv"), &flights)?;
     println!("rows, plots and pictures are in {}", args.output.display());
     Ok(())
 }

@@ -1,12 +1,12 @@
 //! The study *start*: from opening a store to its first and to its whole picture.
 
-use std::fmt::Write;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use serde::Serialize;
 
 use super::{Drawing, MIB, PATIENCE, Plan, open, settings, word_bytes};
+use crate::commands::bench::RowFile;
 use crate::commands::bench::slow_bytes::Disk;
 use crate::frame::{NodeSource, Renderer};
 use crate::geometry::{Camera, View, ViewPreset};
@@ -96,25 +96,53 @@ impl Start {
             self.nodes_waited_for
         )
     }
+
+    fn line(&self) -> String {
+        format!(
+            "{:<16}{:<21}{:>3} MiB{:>10.1}{:>7}{:>9}{:>8.1}%{:>11.1}{:>10.1}{:>8}{:>9.1}{:>8}\
+             {:>10}{:>8}",
+            self.disk,
+            self.reader,
+            self.quota_bytes / MIB,
+            self.first_ms,
+            self.first_reads,
+            self.first_bytes / 1024,
+            100.0 * self.first_covered,
+            self.complete_ms,
+            self.least_ms,
+            self.frames,
+            self.longest_ms,
+            self.reads,
+            self.bytes_read / 1024,
+            self.nodes_waited_for
+        )
+    }
 }
 
+/// Measures all starts of a store, and tells each at once.
 pub(super) fn start_rows(
     drawing: &Drawing,
     name: &str,
     store: &Store,
     plan: &Plan,
-) -> anyhow::Result<Vec<Start>> {
-    let mut rows = Vec::new();
+    file: &mut RowFile,
+) -> anyhow::Result<()> {
+    let mut note = |row: Start| -> anyhow::Result<()> {
+        println!("{}", row.line());
+        file.add(&row.csv())
+    };
+    print!("{}", heading());
     let usual = *plan.quotas.iter().find(|&&quota| quota == 8 * MIB).unwrap_or(&plan.quotas[0]);
     for &disk in plan.disks {
         for reader in [Reader::Loader, Reader::OneAtATime, Reader::InFrame] {
-            rows.push(start(drawing, name, store, plan, (disk, reader, usual))?);
+            note(start(drawing, name, store, plan, (disk, reader, usual))?)?;
         }
     }
     for &quota in plan.quotas.iter().filter(|&&quota| quota != usual) {
-        rows.push(start(drawing, name, store, plan, (Disk::LOCAL, Reader::Loader, quota))?);
+        note(start(drawing, name, store, plan, (Disk::LOCAL, Reader::Loader, quota))?)?;
     }
-    Ok(rows)
+    println!();
+    Ok(())
 }
 
 /// Opens a store and draws it from outside until nothing is missing.
@@ -192,8 +220,8 @@ fn from_outside(renderer: &Renderer, (width_px, height_px): (u32, u32)) -> View 
     View { camera, width_px, height_px }
 }
 
-pub(super) fn start_table(rows: &[Start]) -> String {
-    let mut out = format!(
+fn heading() -> String {
+    format!(
         "Start: from opening the store to the first and to the whole picture\n\
          {:<16}{:<21}{:>7}{:>10}{:>7}{:>9}{:>9}{:>11}{:>10}{:>8}{:>9}{:>8}{:>10}{:>8}\n",
         "disk",
@@ -210,29 +238,5 @@ pub(super) fn start_table(rows: &[Start]) -> String {
         "reads",
         "KiB",
         "waited"
-    );
-    for row in rows {
-        let result = writeln!(
-            out,
-            "{:<16}{:<21}{:>3} MiB{:>10.1}{:>7}{:>9}{:>8.1}%{:>11.1}{:>10.1}{:>8}{:>9.1}{:>8}\
-             {:>10}{:>8}",
-            row.disk,
-            row.reader,
-            row.quota_bytes / MIB,
-            row.first_ms,
-            row.first_reads,
-            row.first_bytes / 1024,
-            100.0 * row.first_covered,
-            row.complete_ms,
-            row.least_ms,
-            row.frames,
-            row.longest_ms,
-            row.reads,
-            row.bytes_read / 1024,
-            row.nodes_waited_for
-        );
-        result.expect("a string takes all text");
-    }
-    out.push('\n');
-    out
+    )
 }

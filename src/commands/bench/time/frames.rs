@@ -1,5 +1,4 @@
-//! Frames of points: counted and timed, each path fitted on one set of views and judged on another,
-//! and a flight that keeps to a time.
+//! Frames of points: counted and timed, each path fitted on one set of views and judged on another.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -8,9 +7,10 @@ use std::time::Instant;
 
 use glam::DVec3;
 
-use crate::budget::{CostModel, Heuristic, OnlineModel, Sample, SystemNoise, Workload, quantile};
+use crate::budget::{CostModel, Heuristic, OnlineModel, Sample, SystemNoise, Workload};
 use crate::commands::bench::plot::{Panel, Scale, Series};
 use crate::commands::bench::time::score::{Score, r_squared, spearman};
+use crate::commands::bench::time::{Study, kept};
 use crate::commands::bench::{BenchArgs, cameras, open_files};
 use crate::commands::generate::{self, GenerateArgs, Subject};
 use crate::commands::render::{RendererChoice, open_renderer};
@@ -32,12 +32,12 @@ pub struct Outcome {
 
 /// How much is measured.
 #[derive(Clone, Copy)]
-struct Plan {
-    size: (u32, u32),
+pub(super) struct Plan {
+    pub(super) size: (u32, u32),
     training: u32,
-    tests: u32,
-    flight: u32,
-    curve: &'static [u64],
+    pub(super) tests: u32,
+    pub(super) flight: u32,
+    pub(super) curve: &'static [u64],
     repeats: usize,
     noise: u32,
     points: u64,
@@ -93,8 +93,12 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<Outcome> {
     for (name, source) in sources(args, &plan, folder.path())? {
         let points = source.octree().point_count();
         writeln!(outcome.text, "{name}: {points} points")?;
-        counted(&name, &source, &plan, &mut outcome)?;
-        timed(&name, &source, &plan, &mut outcome)?;
+        if args.wants_time(Study::Counted) {
+            counted(&name, &source, &plan, &mut outcome)?;
+        }
+        if args.wants_time(Study::Timed) {
+            timed(&name, &source, &plan, &mut outcome)?;
+        }
     }
     Ok(outcome)
 }
@@ -182,12 +186,28 @@ fn timed(
     };
     let training = training(source.as_ref(), plan)?;
     let training = training.into_iter().map(&mut time).collect::<Result<Vec<_>, _>>()?;
-    let tests = (0..plan.tests).map(|frame| time(test_frame(source.as_ref(), plan, frame)));
+    let test_of = |frame| test_frame(source.as_ref(), plan, frame);
+    let tests = (0..plan.tests).map(|frame| time(test_of(frame)));
     let tests = tests.collect::<Result<Vec<_>, _>>()?;
     judge(("timed", name), &training, &tests, outcome);
+    // What no estimator can know: the same frames by the same clock once more.
+    let again = (0..plan.tests).map(|frame| time(test_of(frame)));
+    let again = again.collect::<Result<Vec<_>, _>>()?;
+    note_repeat(("timed", name), &tests, &again, outcome);
     curve(("timed", name), source, plan, &mut time, outcome)?;
     renderer.set_calibration(calibration);
-    flight(name, &mut renderer, source.as_ref(), plan, outcome)
+    kept::flight(name, &mut renderer, source.as_ref(), plan, outcome)
+}
+
+/// One timing of frames as the prediction of another: the noise below which nothing can be told.
+fn note_repeat(
+    (study, scene): (&'static str, &str),
+    first: &[Measured],
+    second: &[Measured],
+    outcome: &mut Outcome,
+) {
+    let pairs: Vec<_> = first.iter().zip(second).map(|(a, b)| (a.time, b.time)).collect();
+    outcome.scores.push(Score::of((study, scene, "the same again"), &pairs, 0.0));
 }
 
 /// Fits every estimator to some frames and judges it on others.
@@ -279,14 +299,15 @@ fn curve(
     let mut all = Vec::new();
     let mut series = Vec::new();
     let mut ranks = Vec::new();
+    let mut again = Vec::new();
     for (view_name, view) in
         views.iter().filter(|(name, _)| name == "outside" || name == "inside high")
     {
         for multiplier in [1.0, 2.5] {
             let mut line: Vec<Measured> = Vec::new();
             for &budget in plan.curve {
-                let settings = settings(budget, multiplier);
-                line.push(measure((*view, settings))?);
+                line.push(measure((*view, settings(budget, multiplier)))?);
+                again.push(measure((*view, settings(budget, multiplier)))?.time);
             }
             let points: Vec<f64> = line.iter().map(|m| m.work.transformed).collect();
             let times: Vec<f64> = line.iter().map(|m| m.time).collect();
@@ -310,11 +331,13 @@ fn curve(
         writeln!(
             outcome.text,
             "{study}: time over points at {} budgets, two views, two splat sizes: rank correlation \
-             {:.3} at least, H4 explains R2 = {:.3}, points alone {:.3}",
+             {:.3} at least, H4 explains R2 = {:.3}, points alone {:.3}, the same frames once more \
+             {:.3}",
             plan.curve.len(),
             ranks.iter().copied().fold(1.0, f64::min),
             r_squared(&predicted, &times),
             r_squared(&by_points, &times),
+            r_squared(&again, &times),
         )?;
     }
     outcome.panels.push(Panel {
@@ -353,101 +376,7 @@ fn noise(
     Ok(())
 }
 
-/// A flight with a target time: what was expected, what it took, what it cost to know.
-fn flight(
-    name: &str,
-    renderer: &mut Renderer,
-    source: &dyn NodeSource,
-    plan: &Plan,
-    outcome: &mut Outcome,
-) -> anyhow::Result<()> {
-    // A target that a third of a million points or so would take.
-    let mut settings = settings(5_000_000, 1.0);
-    let middle = test_frame(source, plan, plan.tests / 2).0;
-    let mut limited = settings.clone();
-    limited.cut.point_budget = plan.curve[plan.curve.len() - 2];
-    let mut totals = Vec::new();
-    for _ in 0..5 {
-        totals.push(renderer.time_frame(&middle, &limited)?.total_ms);
-    }
-    let target_ms = 1.5 * quantile(&totals[1..], 0.5).unwrap_or(30.0);
-    settings.target_ms = Some(target_ms);
-    let (mut pairs, mut safe) = (Vec::new(), Vec::new());
-    let (mut learned, mut waits, mut planning_ms, mut tried) = (0, 0, 0.0, 0);
-    let mut budgets = Vec::new();
-    for frame in 0..plan.flight {
-        let view = on_path(source, plan, f64::from(frame) / f64::from(plan.flight));
-        let stats = renderer.render(&view, &settings)?;
-        let Some(pacing) = stats.pacing else { continue };
-        budgets.push(stats.points_drawn as f64);
-        planning_ms += pacing.planning_ms;
-        tried += pacing.cuts_tried;
-        let checked = pacing.frames_learned + pacing.frames_together;
-        // The first tenth warms up.
-        let is_warm = frame >= plan.flight / 10;
-        waits += u64::from(is_warm) * pacing.blocking_waits;
-        if checked != learned
-            && is_warm
-            && let (Some(predicted), Some(bound), Some(measured)) =
-                (pacing.checked_predicted_ms, pacing.checked_safe_ms, pacing.checked_measured_ms)
-        {
-            pairs.push((predicted, measured));
-            safe.push((bound, measured));
-        }
-        learned = checked;
-    }
-    let us = 1e3 * planning_ms / f64::from(plan.flight.max(1));
-    let path = format!("{name}, {target_ms:.0} ms");
-    outcome.scores.push(Score::of(("kept", &path, "frame loop"), &pairs, us));
-    outcome.scores.push(Score::of(("kept", &path, "frame loop, guarded"), &safe, us));
-    writeln!(
-        outcome.text,
-        "flight of {} frames at a target of {target_ms:.1} ms: {:.0} to {:.0} points, {:.2} cuts \
-         tried and {us:.0} us of planning per frame, {waits} waits for the GPU after warm-up",
-        plan.flight,
-        budgets.iter().copied().fold(f64::INFINITY, f64::min),
-        budgets.iter().copied().fold(0.0, f64::max),
-        f64::from(tried) / f64::from(plan.flight.max(1)),
-    )?;
-    let numbered = |values: Vec<f64>| (0..).map(f64::from).zip(values).collect();
-    outcome.panels.push(Panel {
-        title: format!("{name}: a flight at {target_ms:.0} ms"),
-        x_label: "measured frame".into(),
-        y_label: "point pass, ms".into(),
-        x_scale: Scale::Linear,
-        y_scale: Scale::Linear,
-        series: vec![
-            Series {
-                name: "measured".into(),
-                points: numbered(pairs.iter().map(|p| p.1).collect()),
-            },
-            Series {
-                name: "predicted".into(),
-                points: numbered(pairs.iter().map(|p| p.0).collect()),
-            },
-            Series { name: "guarded".into(), points: numbered(safe.iter().map(|p| p.0).collect()) },
-        ],
-    });
-    // A scene at a tenth of its target: nothing to plan.
-    let mut roomy = settings.clone();
-    roomy.target_ms = Some(1e5);
-    let mut planning_us = Vec::new();
-    for frame in 0..40 {
-        let (view, _) = test_frame(source, plan, frame);
-        if let Some(pacing) = renderer.render(&view, &roomy)?.pacing {
-            planning_us.push(1e3 * pacing.planning_ms);
-        }
-    }
-    writeln!(
-        outcome.text,
-        "with room to spare: {:.1} us of planning in the middle frame, {:.1} us in the 95th of 100\n",
-        quantile(&planning_us, 0.5).unwrap_or(0.0),
-        quantile(&planning_us, 0.95).unwrap_or(0.0),
-    )?;
-    Ok(())
-}
-
-fn settings(point_budget: u64, multiplier: f64) -> FrameSettings {
+pub(super) fn settings(point_budget: u64, multiplier: f64) -> FrameSettings {
     let mut settings = FrameSettings::default();
     settings.cut.point_budget = point_budget;
     settings.cut.error_px = 0.5;
@@ -474,13 +403,17 @@ fn training(source: &dyn NodeSource, plan: &Plan) -> anyhow::Result<Vec<(View, F
 }
 
 /// A spiral towards the middle, with varied settings.
-fn test_frame(source: &dyn NodeSource, plan: &Plan, frame: u32) -> (View, FrameSettings) {
+pub(super) fn test_frame(
+    source: &dyn NodeSource,
+    plan: &Plan,
+    frame: u32,
+) -> (View, FrameSettings) {
     let share = f64::from(frame) / f64::from(plan.tests.max(1));
     (on_path(source, plan, share), varied(51, frame, plan))
 }
 
 /// A place on that spiral, from 0 at its start to 1.
-fn on_path(source: &dyn NodeSource, plan: &Plan, share: f64) -> View {
+pub(super) fn on_path(source: &dyn NodeSource, plan: &Plan, share: f64) -> View {
     let bounds = source.bounds();
     let radius = (0.5 * bounds.diagonal()).max(1e-3);
     let turn = 4.0 * share;

@@ -7,20 +7,43 @@
 //! and judged on another.
 
 mod frames;
+mod kept;
 mod objects;
 mod score;
 
 use std::fmt::Write;
 
+use clap::ValueEnum;
+
 use crate::commands::bench::plot::{Panel, Scale, Series, svg};
 use crate::commands::bench::time::score::Score;
 use crate::commands::bench::{BenchArgs, machine, write_file};
 
+/// The parts of the suite.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Study {
+    /// Triangles on a simulated pipeline
+    Objects,
+    /// Frames of points whose work is counted
+    Counted,
+    /// Frames of points by the clock, and a flight that keeps to a time
+    Timed,
+}
+
+impl BenchArgs {
+    fn wants_time(&self, study: Study) -> bool {
+        self.time_study.is_empty() || self.time_study.contains(&study)
+    }
+}
+
 /// Runs the suite.
 pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
     println!("drawn by {}\n", machine());
-    let mut scores = objects::run(args.quick);
-    print!("{}", table("Objects, simulated pipeline (times repeat)", &scores));
+    let mut scores = Vec::new();
+    if args.wants_time(Study::Objects) {
+        scores = objects::run(args.quick);
+        print!("{}", table("Objects, simulated pipeline (times repeat)", &scores));
+    }
     let outcome = frames::run(args)?;
     print!("{}", table("Frames of points", &outcome.scores));
     print!("{}", outcome.text);

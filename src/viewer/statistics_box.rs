@@ -63,7 +63,11 @@ fn statistic_rows(statistics: &Statistics) -> Vec<(String, String)> {
         }
     }
     if let Some(pacing) = &frame.pacing {
-        let points = pacing.predicted_ms.map_or("sure to fit".to_owned(), milliseconds);
+        let points = match (pacing.predicted_ms, pacing.rests) {
+            (Some(expected_ms), _) => milliseconds(expected_ms),
+            (None, true) => "at rest".to_owned(),
+            (None, false) => "sure to fit".to_owned(),
+        };
         row("points expected", of(points, milliseconds(pacing.free_ms)));
         let expected = pacing.checked_predicted_ms.zip(pacing.checked_measured_ms);
         if let Some((expected_ms, measured_ms)) = expected {

@@ -90,7 +90,7 @@ impl Place {
 fn held(paths: Vec<PathBuf>, options: OpeningOptions) -> (SyncSender<()>, Opening) {
     let (go, wait) = sync_channel::<()>(0);
     let wait = Mutex::new(wait);
-    let wake = Arc::new(move || {
+    let wake = Arc::new(move |_| {
         let _ = wait.lock().expect("nobody panics with it").recv();
     });
     (go, Opening::start(paths, options, wake).expect("a thread starts"))
@@ -98,7 +98,7 @@ fn held(paths: Vec<PathBuf>, options: OpeningOptions) -> (SyncSender<()>, Openin
 
 /// All news of a request.
 fn news(paths: Vec<PathBuf>, options: OpeningOptions) -> Vec<Opened> {
-    let opening = Opening::start(paths, options, Arc::new(|| {})).expect("a thread starts");
+    let opening = Opening::start(paths, options, Arc::new(|_| {})).expect("a thread starts");
     while !opening.is_finished() {
         std::thread::yield_now();
     }

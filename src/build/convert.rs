@@ -1,7 +1,7 @@
 //! A conversion from its inputs to the finished store, as a list of steps.
 
 use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::build::BuildError;
 use crate::build::budget::Budget;
@@ -59,7 +59,8 @@ pub fn convert(
     cancelled: &AtomicBool,
 ) -> Result<ConvertReport, BuildError> {
     convert_with(output, options, progress, cancelled, |conversion| {
-        conversion.run(&Sources::open(inputs, &options.read)?)
+        let sources = Sources::open(inputs, &options.read);
+        conversion.run(&sources.map_err(|error| error.unless_cancelled(cancelled))?)
     })
 }
 
@@ -116,8 +117,13 @@ struct Conversion<'a> {
 
 impl Conversion<'_> {
     fn run(&self, sources: &Sources) -> Result<ConvertReport, BuildError> {
+        // Damaged files are opened as far as they can be read, and so are those given up meanwhile.
+        if self.cancelled.load(Ordering::Relaxed) {
+            return Err(BuildError::Interrupted);
+        }
         let work = self.work();
         let outcome = self.run_in(sources, &work);
+        let outcome = outcome.map_err(|error| error.unless_cancelled(self.cancelled));
         // What a failed run noted down serves the next one only if nothing is wrong with the input.
         let can_go_on = matches!(outcome, Err(BuildError::Interrupted)) && work.has_state();
         if !can_go_on {

@@ -2,6 +2,7 @@
 
 use std::io;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::input::ScanError;
 use crate::store::StoreError;
@@ -86,4 +87,14 @@ pub enum BuildError {
     /// The user stopped it.
     #[error("interrupted")]
     Interrupted,
+}
+
+impl BuildError {
+    /// What reading fails with once it is cancelled is no fault of the input.
+    pub(super) fn unless_cancelled(self, cancelled: &AtomicBool) -> Self {
+        match self {
+            BuildError::Input(_) if cancelled.load(Ordering::Relaxed) => BuildError::Interrupted,
+            error => error,
+        }
+    }
 }

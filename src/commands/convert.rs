@@ -13,7 +13,7 @@ use crate::build::{self, AppendReport, BuildError, ConvertOptions, DEPTH_RANGE, 
 use crate::commands::inputs;
 use crate::commands::progress::{ProgressKind, listener};
 use crate::commands::quantities::{parse_bytes, show_bytes};
-use crate::input::{ColumnList, ReadOptions};
+use crate::input::{Cancel, ColumnList, ReadOptions};
 use crate::metrics::peak_rss_bytes;
 use crate::store::SourceInfo;
 
@@ -86,6 +86,7 @@ fn parse_seconds(text: &str) -> Result<f64, String> {
 pub fn run(args: ConvertArgs) -> anyhow::Result<ExitCode> {
     let began = Instant::now();
     let files = inputs::expand(&args.inputs)?;
+    let cancelled = cancelled_by_signal();
     let mut options = ConvertOptions {
         threads: args.threads,
         temp_dir: args.temp_dir.clone(),
@@ -96,14 +97,18 @@ pub fn run(args: ConvertArgs) -> anyhow::Result<ExitCode> {
         trust_headers: !args.read_twice,
         compact_above: if args.compact { 0.0 } else { ConvertOptions::default().compact_above },
         checkpoint_every: Duration::from_secs_f64(args.checkpoint_seconds),
-        read: ReadOptions { columns: args.columns, salvage: args.salvage, temp_dir: args.temp_dir },
+        read: ReadOptions {
+            columns: args.columns,
+            salvage: args.salvage,
+            temp_dir: args.temp_dir,
+            cancel: Cancel::when(&cancelled),
+        },
         ..ConvertOptions::default()
     };
     if let Some(memory) = args.memory {
         options.memory_bytes = memory;
     }
     let progress = listener(args.progress);
-    let cancelled = cancelled_by_signal();
     if let Some(store) = &args.append {
         let report = build::append(store, &files, &options, &*progress, &cancelled)?;
         drop(progress);

@@ -28,6 +28,7 @@ use crate::frame::{ColorMode, FrameError, FrameSettings, NodeSource, Renderer};
 use crate::geometry::{Aabb, Camera, View, ViewPreset};
 #[cfg(feature = "gpu")]
 use crate::gpu::Gpu;
+use crate::input::Cancel;
 use crate::mesh::Model;
 use crate::metrics::peak_rss_bytes;
 use crate::passes::Picture;
@@ -287,8 +288,9 @@ fn open_sources(args: &RenderArgs, files: Vec<PathBuf>) -> anyhow::Result<Opened
     let start = Instant::now();
     let path = folder.path().join("scans.esker");
     let progress = listener(ProgressKind::Bar);
-    let options = ConvertOptions::default();
     let cancelled = cancelled_by_signal();
+    let mut options = ConvertOptions::default();
+    options.read.cancel = Cancel::when(&cancelled);
     let report = build::convert(&scans, &path, &options, &*progress, &cancelled)?;
     drop(progress);
     for warning in &report.warnings {

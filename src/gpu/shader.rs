@@ -29,6 +29,7 @@ const FILES: &[(&str, &str)] = files![
     "depth_pyramid",
     "pyramid_answers",
     "two_pass",
+    "show",
     "shared/structs",
     "shared/pyramid_test",
     "shared/scene",

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use super::error::{LasError, LasFault};
 use super::foreign::{ForeignFault, ForeignReader};
-use super::positioned_file::PositionedFile;
+use super::positioned_file::{Cancel, PositionedFile};
 use super::{e57, pcd, ply, text};
 
 /// What a file is.
@@ -47,6 +47,9 @@ pub struct ReadOptions {
     /// Where points wait that must be decompressed as a whole and are many; the system's folder for
     /// temporary files if not set.
     pub temp_dir: Option<PathBuf>,
+    /// What ends reading early; also while a file is being opened, which for texts means reading
+    /// all of it.
+    pub cancel: Cancel,
 }
 
 /// The first bytes of a file and the end of its name.

@@ -56,7 +56,7 @@ pub use mesh::{
 };
 pub use placing::{Placing, decimal_lattice, fine_lattice, reaches};
 pub use point_format::{ExtraBytes, PointFormat, describes_extra_bytes, extra_bytes};
-pub use positioned_file::PositionedFile;
+pub use positioned_file::{Cancel, PositionedFile};
 pub use sample::RUN_RECORDS;
 pub use scan::{
     Block, BlockBuffer, BoundsFacts, LasScan, RecordSink, ScanFacts, ScanFormat, VlrFacts,

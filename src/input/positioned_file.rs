@@ -3,11 +3,13 @@
 //! No cursor and no memory map: a map turns a file that shrinks under it into a signal, a
 //! positioned read into an error.
 
+use std::fmt;
 use std::fs::File;
 use std::io;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use super::error::LasFault;
 
@@ -17,11 +19,44 @@ const MOST_HELD_FILES: usize = 128;
 
 static HELD_FILES: AtomicUsize = AtomicUsize::new(0);
 
+/// A wish to stop reading, which any thread may set.
+///
+/// It is no part of how a file is read: all are equal, and look the same when printed.
+#[derive(Clone, Default)]
+pub struct Cancel(Option<Arc<AtomicBool>>);
+
+impl Cancel {
+    /// Reading ends soon after the flag is set, with an error.
+    pub fn when(flag: &Arc<AtomicBool>) -> Self {
+        Cancel(Some(Arc::clone(flag)))
+    }
+
+    /// Whether it is set.
+    pub fn is_set(&self) -> bool {
+        self.0.as_ref().is_some_and(|flag| flag.load(Ordering::Relaxed))
+    }
+}
+
+impl fmt::Debug for Cancel {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str("Cancel")
+    }
+}
+
+impl PartialEq for Cancel {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
+impl Eq for Cancel {}
+
 /// An open file and its length when it was opened.
 #[derive(Debug)]
 pub struct PositionedFile {
     access: Access,
     bytes: u64,
+    cancel: Cancel,
 }
 
 #[derive(Debug)]
@@ -40,7 +75,7 @@ impl PositionedFile {
     /// Takes an open file whose length is known.
     pub fn new(file: File, bytes: u64) -> Self {
         HELD_FILES.fetch_add(1, Ordering::Relaxed);
-        PositionedFile { access: Access::Held(handle(file)), bytes }
+        PositionedFile { access: Access::Held(handle(file)), bytes, cancel: Cancel::default() }
     }
 
     /// The same for a file that can be opened again by its path, should too many be open.
@@ -48,13 +83,21 @@ impl PositionedFile {
         if HELD_FILES.load(Ordering::Relaxed) < MOST_HELD_FILES {
             return PositionedFile::new(file, bytes);
         }
-        PositionedFile { access: Access::ByPath(path.to_path_buf()), bytes }
+        let access = Access::ByPath(path.to_path_buf());
+        PositionedFile { access, bytes, cancel: Cancel::default() }
     }
 
     /// Bytes that are no file, read as if they were one.
     pub fn in_memory(bytes: Vec<u8>) -> Self {
         let length = bytes.len() as u64;
-        PositionedFile { access: Access::Memory(bytes), bytes: length }
+        PositionedFile { access: Access::Memory(bytes), bytes: length, cancel: Cancel::default() }
+    }
+
+    /// The same file, of which nothing can be read any more once reading is cancelled. Readers that
+    /// look through a whole file when they open it end that way.
+    pub fn until(mut self, cancel: &Cancel) -> Self {
+        self.cancel = cancel.clone();
+        self
     }
 
     /// Length when it was opened.
@@ -64,6 +107,9 @@ impl PositionedFile {
 
     /// Reads some bytes at a place; 0 at the end of the file.
     pub fn read_at(&self, buffer: &mut [u8], byte: u64) -> io::Result<usize> {
+        if self.cancel.is_set() {
+            return Err(io::Error::other("cancelled"));
+        }
         match &self.access {
             Access::Held(file) => read_at(file, buffer, byte),
             Access::ByPath(path) => read_at(&handle(File::open(path)?), buffer, byte),
@@ -145,4 +191,19 @@ fn read_once(file: &Handle, buffer: &mut [u8], byte: u64) -> io::Result<usize> {
     let mut file = file.lock().map_err(|_| io::Error::other("a reader panicked"))?;
     file.seek(SeekFrom::Start(byte))?;
     file.read(buffer)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_is_read_once_reading_is_cancelled() {
+        let flag = Arc::new(AtomicBool::new(false));
+        let file = PositionedFile::in_memory(vec![7; 100]).until(&Cancel::when(&flag));
+        assert_eq!(file.read_range(0..100).expect("nobody cancelled").len(), 100);
+        flag.store(true, Ordering::Relaxed);
+        let error = file.read_range(0..1).expect_err("it is cancelled");
+        assert!(error.to_string().contains("cancelled"), "{error}");
+    }
 }

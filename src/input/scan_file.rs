@@ -25,7 +25,7 @@ impl Scan {
     /// Opens a file of whatever format its first bytes tell.
     pub fn open(path: &Path, options: &ReadOptions) -> Result<Self, ScanError> {
         let file = open_regular(path).map_err(|fault| ScanError::foreign(path, fault.into()))?;
-        Self::of(file, path, options)
+        Self::of(file.until(&options.cancel), path, options)
     }
 
     /// Reads what is open already, or in memory. `path` is its name in errors, and its suffix.

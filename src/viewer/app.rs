@@ -22,13 +22,13 @@ use crate::viewer::culling_panel::{self, CullingAction};
 use crate::viewer::culling_view::CullingView;
 use crate::viewer::keys::{self, KeyCommand};
 use crate::viewer::models::{self, OpenedModel};
-use crate::viewer::opening::{Advance, KeptIn, Opened, OpenedFile, Opening, OpeningOptions};
+use crate::viewer::opening::{Advance, KeptIn, Opened, OpenedFile, Opening, OpeningOptions, Sign};
 use crate::viewer::panels::{self, FileAction, Notice};
 use crate::viewer::statistics::{Milestone, Statistics};
 use crate::viewer::statistics_box;
 
 /// What the viewer is told at its start.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct ViewerOptions {
     /// How the first frame is drawn.
     pub frame: FrameSettings,
@@ -50,6 +50,27 @@ pub struct ViewerOptions {
     pub adapter: String,
     /// Most bytes of points that the renderer holds.
     pub node_limit_bytes: u64,
+    /// Time between two looks at how far a conversion is: each paints the whole window, which
+    /// takes from the conversion where processors paint.
+    pub progress_every: Duration,
+}
+
+impl Default for ViewerOptions {
+    fn default() -> Self {
+        ViewerOptions {
+            frame: FrameSettings::default(),
+            view: ViewPreset::default(),
+            start: None,
+            shows_boxes: false,
+            second_camera: false,
+            opening: OpeningOptions::default(),
+            began: None,
+            stats: None,
+            adapter: String::new(),
+            node_limit_bytes: 0,
+            progress_every: PROGRESS_EVERY,
+        }
+    }
 }
 
 /// The viewer: all state of the window.
@@ -90,6 +111,8 @@ pub struct Viewer {
     pub(super) drawn: FrameStats,
     pub(super) frames_drawn: u64,
     pub(super) frames_skipped: u64,
+    /// Times the window was painted.
+    paints: u64,
     pub(super) bytes_read: u64,
     pub(super) bytes_uploaded: u64,
     pub(super) shows_panel: bool,
@@ -102,6 +125,10 @@ pub struct Viewer {
 const QUOTA_BYTES: u64 = 8 << 20;
 /// Longest time between two looks at whether nodes have come.
 const LONGEST_WAIT: Duration = Duration::from_millis(30);
+/// See [`ViewerOptions::progress_every`].
+const PROGRESS_EVERY: Duration = Duration::from_millis(250);
+/// As good as at once, but painted once: what is asked for at once egui paints twice.
+const SOON: Duration = Duration::from_millis(1);
 /// Most notices kept.
 const MAX_NOTICES: usize = 8;
 /// Most milestones kept.
@@ -142,6 +169,7 @@ impl Viewer {
             drawn: FrameStats::default(),
             frames_drawn: 0,
             frames_skipped: 0,
+            paints: 0,
             bytes_read: 0,
             bytes_uploaded: 0,
             shows_panel: true,
@@ -161,7 +189,7 @@ impl Viewer {
         // The old request ends before the new one begins, so both never write one store.
         self.opening = None;
         let ctx = ctx.clone();
-        let wake = Arc::new(move || ctx.request_repaint());
+        let wake = Arc::new(move |sign| wake_for(&ctx, sign));
         match Opening::start(files, self.options.opening.clone(), wake) {
             Ok(opening) => self.follow(opening),
             Err(error) => self.note(format!("cannot start a thread: {error}"), true),
@@ -194,7 +222,7 @@ impl Viewer {
         }
         if !is_finished {
             // The bar moves between the news.
-            ctx.request_repaint_after(std::time::Duration::from_millis(200));
+            ctx.request_repaint_after(self.options.progress_every);
             self.opening = Some(opening);
         }
     }
@@ -206,13 +234,21 @@ impl Viewer {
             self.reach("window");
         }
         if ctx.current_pass_index() == 0 {
+            self.paints += 1;
             self.take_dropped_files(&ctx);
             self.take_keys(&ctx);
         }
         if self.shows_panel {
-            egui::Panel::left("panel").default_size(300.0).show(ui, |ui| {
+            let before = ui.available_rect_before_wrap();
+            let ground = ui.painter().add(egui::Shape::Noop);
+            let frame = egui::Frame::side_top_panel(ui.style()).fill(Color32::TRANSPARENT);
+            egui::Panel::left("panel").frame(frame).default_size(300.0).show(ui, |ui| {
                 egui::ScrollArea::vertical().show(ui, |ui| self.panel(ui));
             });
+            let right = ui.available_rect_before_wrap().left();
+            let area = Rect::from_min_max(before.min, Pos2::new(right, before.bottom()));
+            let color = ui.visuals().panel_fill;
+            ui.painter().set(ground, self.canvas.plain(area, color));
         }
         egui::CentralPanel::no_frame().show(ui, |ui| self.picture(ui));
     }
@@ -233,6 +269,7 @@ impl Viewer {
             nodes: octrees().map(|octree| octree.nodes().len() as u64).sum(),
             frames_drawn: self.frames_drawn,
             frames_skipped: self.frames_skipped,
+            paints: self.paints,
             width_px: self.size_px.0,
             height_px: self.size_px.1,
             color: self.settings.color.to_string(),
@@ -413,7 +450,10 @@ impl Viewer {
             return;
         }
         let response = ui.allocate_rect(rect, Sense::drag());
-        ui.painter().rect_filled(rect, 0.0, background(&self.settings));
+        // The picture covers it.
+        if !self.canvas.has_picture() || self.files.is_empty() && self.models.is_empty() {
+            ui.painter().add(self.canvas.plain(rect, background(&self.settings)));
+        }
         if self.files.is_empty() && self.models.is_empty() {
             if self.opening.is_none() {
                 panels::hint(ui, rect, "Drop a store, a scan or a model here");
@@ -421,10 +461,7 @@ impl Viewer {
         } else {
             self.move_camera(&ctx, &response);
             self.draw(&ctx);
-            if let Some(texture) = self.canvas.texture() {
-                let whole = Rect::from_min_max(Pos2::ZERO, Pos2::new(1.0, 1.0));
-                ui.painter().image(texture, rect, whole, Color32::WHITE);
-            }
+            self.canvas.paint(ui.painter(), rect);
             self.paint_culling(ui, rect);
             self.go_to_asked_second_camera(&ctx);
             if self.shows_statistics {
@@ -524,6 +561,15 @@ impl Viewer {
     }
 }
 
+/// Paints the window for a sign of the thread that opens files.
+pub(super) fn wake_for(ctx: &egui::Context, sign: Sign) {
+    match sign {
+        // The bar shows it when it moves next.
+        Sign::Begun => {}
+        Sign::News => ctx.request_repaint_after(SOON),
+    }
+}
+
 /// The largest part of a rectangle that ends at whole pixels, and its size in pixels.
 fn whole_pixels(rect: Rect, pixels_per_point: f32) -> (Rect, (u32, u32)) {
     let min = (rect.min.to_vec2() * pixels_per_point).ceil();
@@ -536,4 +582,27 @@ fn whole_pixels(rect: Rect, pixels_per_point: f32) -> (Rect, (u32, u32)) {
 fn background(settings: &FrameSettings) -> Color32 {
     let [r, g, b, _] = settings.background.to_le_bytes();
     Color32::from_rgb(r, g, b)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Mutex;
+
+    use super::*;
+
+    /// Painting takes from a conversion where processors paint.
+    #[test]
+    fn only_news_paint_the_window_and_once() {
+        let ctx = egui::Context::default();
+        let asked: Arc<Mutex<Vec<Duration>>> = Arc::default();
+        let delays = Arc::clone(&asked);
+        ctx.set_request_repaint_callback(move |info| {
+            delays.lock().expect("nobody panics with it").push(info.delay);
+        });
+        wake_for(&ctx, Sign::Begun);
+        assert!(asked.lock().expect("nobody panics with it").is_empty());
+        wake_for(&ctx, Sign::News);
+        // What is asked for without a delay is painted twice.
+        assert_eq!(*asked.lock().expect("nobody panics with it"), [SOON]);
+    }
 }

@@ -17,6 +17,7 @@ mod opening;
 mod panels;
 mod preview;
 mod scene;
+mod shown;
 mod statistics;
 mod statistics_box;
 mod steering;
@@ -27,6 +28,8 @@ pub use camera_control::{CameraControl, DragKind};
 pub use canvas::Canvas;
 pub use culling_view::CullingViewStatistics;
 pub use models::OpenedModel;
-pub use opening::{Advance, KeptIn, ListFolder, Opened, OpenedFile, Opening, OpeningOptions, Wake};
+pub use opening::{
+    Advance, KeptIn, ListFolder, Opened, OpenedFile, Opening, OpeningOptions, Sign, Wake,
+};
 pub use statistics::{Milestone, Statistics};
 pub use window::{WindowOptions, run};

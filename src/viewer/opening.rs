@@ -21,14 +21,23 @@ use tempfile::TempDir;
 
 use crate::build::{ConvertOptions, PointSample, Progress, Sources, Stage, convert_sources};
 use crate::frame::FIRST_PICTURE_BYTES;
-use crate::input::{ModelOptions, detect_model};
+use crate::input::{Cancel, ModelOptions, ReadOptions, detect_model};
 use crate::store::{Store, is_store};
 use crate::viewer::kept::{can_write_beside, is_las, made_from, store_beside};
 use crate::viewer::models::{OpenedModel, open_model};
 use crate::viewer::preview::{FIRST_PREVIEW_POINTS, make_preview, preview_of, preview_sizes};
 
-/// Called from the opening thread when there is news.
-pub type Wake = Arc<dyn Fn() + Send + Sync>;
+/// Called from the opening thread when something happened.
+pub type Wake = Arc<dyn Fn(Sign) + Send + Sync>;
+
+/// What happened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sign {
+    /// A part of the work began. Nothing has to be shown at once.
+    Begun,
+    /// There is news, or no more will come.
+    News,
+}
 
 /// Lists the scans and models in a folder.
 pub type ListFolder = fn(&Path) -> anyhow::Result<Vec<PathBuf>>;
@@ -211,7 +220,7 @@ impl Worker {
             }
         }
         self.convert_all(&jobs);
-        (self.wake)();
+        (self.wake)(Sign::News);
     }
 
     fn is_cancelled(&self) -> bool {
@@ -221,7 +230,7 @@ impl Worker {
     fn tell(&self, news: Opened) {
         // The receiver is gone only if nobody wants to know.
         let _ = self.sender.send(news);
-        (self.wake)();
+        (self.wake)(Sign::News);
     }
 
     /// The models and the scans that a path stands for.
@@ -265,8 +274,10 @@ impl Worker {
         // Opened once for previews and conversion: that may mean reading all of it.
         let mut sources = None;
         if more.is_empty() {
-            match Sources::open(&first.scans, &ConvertOptions::default().read) {
+            match Sources::open(&first.scans, &self.read_options()) {
                 Ok(opened) => sources = Some(opened),
+                // Whoever cancelled needs no message.
+                Err(_) if self.is_cancelled() => return,
                 Err(error) => return self.tell(Opened::Failed(error.to_string())),
             }
         }
@@ -284,7 +295,7 @@ impl Worker {
                 let scans = jobs.iter().flat_map(|job| &job.scans).filter(|scan| is_las(scan));
                 let scans: Vec<_> = scans.cloned().collect();
                 // What is wrong with any of them is told by its conversion.
-                Sources::open(&scans, &ConvertOptions::default().read).is_ok_and(|sources| {
+                Sources::open(&scans, &self.read_options()).is_ok_and(|sources| {
                     let sizes = self.preview_sizes(&sources);
                     self.show_previews(&first.path, &sources, &sizes)
                 })
@@ -307,6 +318,10 @@ impl Worker {
         if !converted.is_empty() {
             self.tell(Opened::Files(converted));
         }
+    }
+
+    fn read_options(&self) -> ReadOptions {
+        ReadOptions { cancel: Cancel::when(&self.shared.cancelled), ..ReadOptions::default() }
     }
 
     fn preview_sizes(&self, sources: &Sources) -> Vec<u64> {
@@ -355,7 +370,7 @@ impl Worker {
                 (folder.path().join("scan.esker"), Some(folder))
             }
         };
-        let mut options = ConvertOptions::default();
+        let mut options = ConvertOptions { read: self.read_options(), ..ConvertOptions::default() };
         // The points on view need memory as well.
         options.memory_bytes /= 2;
         let progress = Listener { worker: self, path: &job.path, is_preview: false, even_points };
@@ -400,7 +415,7 @@ impl Progress for Listener<'_> {
         let path = self.path.to_owned();
         let advance = Advance { path, stage, points_done: 0, points_total };
         self.worker.shared.set_converting(Some(advance));
-        (self.worker.wake)();
+        (self.worker.wake)(Sign::Begun);
     }
 
     fn advance(&self, points: u64) {

@@ -45,6 +45,8 @@ pub struct Statistics {
     pub frames_drawn: u64,
     /// Times the window was painted with the picture it had.
     pub frames_skipped: u64,
+    /// Times the window was painted, with or without a new picture.
+    pub paints: u64,
     /// Size of the picture, pixels.
     pub width_px: u32,
     /// Size of the picture, pixels.

@@ -15,7 +15,7 @@ use crate::build;
 use crate::frame::{RasterPath, Renderer};
 use crate::gpu::{Gpu, adapter_preference, wanted_features, wanted_limits};
 use crate::stream::StreamSettings;
-use crate::viewer::app::{Viewer, ViewerOptions};
+use crate::viewer::app::{Viewer, ViewerOptions, wake_for};
 use crate::viewer::canvas::Canvas;
 use crate::viewer::opening::Opening;
 
@@ -46,6 +46,10 @@ pub struct WindowOptions {
 /// Budget where a program on the CPU draws, so that the view still follows the hand.
 const SOFTWARE_POINT_BUDGET: u64 = 2_000_000;
 
+/// Looks at how far a conversion is where a program on the CPU paints: a window of a million pixels
+/// takes it some hundredths of a second on all cores.
+const SOFTWARE_PROGRESS_EVERY: Duration = Duration::from_secs(1);
+
 /// Shows the window until it is closed. `interrupted` is what a signal sets; it closes the window.
 pub fn run(mut options: WindowOptions, interrupted: Arc<AtomicBool>) -> anyhow::Result<()> {
     let outcome = Arc::new(Mutex::new(None));
@@ -57,10 +61,10 @@ pub fn run(mut options: WindowOptions, interrupted: Arc<AtomicBool>) -> anyhow::
         true => None,
         false => {
             let painter = Arc::clone(&painter);
-            let wake = Arc::new(move || {
+            let wake = Arc::new(move |sign| {
                 // Before there is a window it needs no waking: it asks when it is there.
                 if let Some(ctx) = painter.get() {
-                    ctx.request_repaint();
+                    wake_for(ctx, sign);
                 }
             });
             let opening = Opening::start(files, options.viewer.opening.clone(), wake);
@@ -196,6 +200,11 @@ impl Window {
         let budget = options.point_budget.or(gpu.is_software().then_some(SOFTWARE_POINT_BUDGET));
         if let Some(point_budget) = budget {
             options.viewer.frame.cut.point_budget = point_budget;
+        }
+        if gpu.is_software() {
+            options.viewer.progress_every = SOFTWARE_PROGRESS_EVERY;
+            // Whatever fades in paints all of the window again and again.
+            created.egui_ctx.all_styles_mut(|style| style.animation_time = 0.0);
         }
         let (mut renderer, problems) = open_renderer(&gpu, options.path, limit_bytes)?;
         let memory_bytes = options.cache_bytes.unwrap_or(memory_bytes / 4);

@@ -90,6 +90,9 @@ pub fn append(
                 return Err(BuildError::Append { reason, path: store.into() });
             }
             let (sources, target) = Sources::open_onto(inputs, &options.read, opened.metadata())?;
+            if cancelled.load(Ordering::Relaxed) {
+                return Err(BuildError::Interrupted);
+            }
             appender.widen(target.sections.len());
             let addition = Addition { sources: &sources, options, progress, cancelled };
             if target.root_bits <= u64::MAX_BITS {
@@ -98,12 +101,13 @@ pub fn append(
                 addition.run::<u128>(appender, opened, target)
             }
         };
-        let mut report = match add() {
+        let added = match add() {
             Err(BuildError::Outgrown { .. }) => {
-                rebuild(store, inputs, options, progress, cancelled)?
+                rebuild(store, inputs, options, progress, cancelled)
             }
-            outcome => outcome?,
+            outcome => outcome,
         };
+        let mut report = added.map_err(|error| error.unless_cancelled(cancelled))?;
         let most = options.compact_above * report.output_bytes as f64;
         if report.unused_bytes as f64 > most {
             report.output_bytes = compact(store, &before_write)?;

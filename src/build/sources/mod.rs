@@ -34,8 +34,8 @@ pub struct Sources {
     lattice: Lattice,
     /// The blocks that are read, each with its file, if not all are.
     sample: Option<Vec<(usize, Block)>>,
-    /// Whether what cannot be read is left out.
-    salvage: bool,
+    /// How they are read.
+    read: ReadOptions,
 }
 
 impl Sources {
@@ -59,7 +59,7 @@ impl Sources {
             stored: None,
         };
         let scans = scans.into_iter().map(untouched).collect();
-        Ok(Sources { scans, schema, lattice, sample: None, salvage: options.salvage })
+        Ok(Sources { scans, schema, lattice, sample: None, read: options.clone() })
     }
 
     fn join(
@@ -95,7 +95,7 @@ impl Sources {
             schema,
             lattice: common.lattice,
             sample: None,
-            salvage: options.salvage,
+            read: options.clone(),
         })
     }
 
@@ -110,8 +110,8 @@ impl Sources {
             source.scan.sampled_blocks(share).into_iter().map(move |block| (i, block))
         });
         let (scans, schema) = (Arc::clone(&self.scans), self.schema.clone());
-        let (lattice, salvage) = (self.lattice, self.salvage);
-        Sources { scans, schema, lattice, sample: Some(sample.collect()), salvage }
+        let (lattice, read) = (self.lattice, self.read.clone());
+        Sources { scans, schema, lattice, sample: Some(sample.collect()), read }
     }
 
     /// The files.
@@ -154,7 +154,7 @@ impl Sources {
 
     /// Whether what cannot be read is left out.
     pub fn salvages(&self) -> bool {
-        self.salvage
+        self.read.salvage
     }
 
     /// Whether reading means decompressing.
@@ -182,7 +182,7 @@ impl Sources {
         let outcome = self.scans[source].read_block(block, buffer, &mut |_, records| take(records));
         match outcome {
             Err(BuildError::Input(_)) if self.sample.is_some() => Ok(()),
-            Err(BuildError::Input(error)) if self.salvage => {
+            Err(BuildError::Input(error)) if self.read.salvage && !self.read.cancel.is_set() => {
                 self.scans[source].fault.get_or_init(|| error.to_string());
                 Ok(())
             }

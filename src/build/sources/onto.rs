@@ -26,8 +26,8 @@ impl Sources {
         let (lattice, target) = (store.lattice(), with_sources(store, &scans));
         let scans = sources_onto(scans, &target, lattice)?.into();
         let schema = target.schema.clone();
-        let salvage = options.salvage;
-        Ok((Sources { scans, schema, lattice, sample: None, salvage }, target))
+        let read = options.clone();
+        Ok((Sources { scans, schema, lattice, sample: None, read }, target))
     }
 }
 

@@ -74,7 +74,7 @@ impl Sources {
             });
         }
         scans.insert(0, first);
-        Ok(Sources { scans: scans.into(), schema, lattice, sample: None, salvage: options.salvage })
+        Ok(Sources { scans: scans.into(), schema, lattice, sample: None, read: options.clone() })
     }
 }
 
@@ -102,7 +102,8 @@ impl Sources {
         let mut scan = ForeignScan::new(Path::new("points"), bytes, Box::new(reader))?;
         scan.place(Placing { lattice, residual: None });
         let source = source_of(scan, None);
-        Ok(Sources { scans: [source].into(), schema, lattice, sample: None, salvage: false })
+        let read = ReadOptions::default();
+        Ok(Sources { scans: [source].into(), schema, lattice, sample: None, read })
     }
 }
 

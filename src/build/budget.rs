@@ -2,7 +2,6 @@
 
 use crate::build::BuildError;
 use crate::build::options::ConvertOptions;
-use crate::build::sources::{Source, Sources};
 use crate::points::Schema;
 
 /// Bytes that the parts of a conversion may take.
@@ -85,19 +84,6 @@ impl Budget {
             most_chunk_points: chunk_points,
             spanning_bytes: spanning_bytes / workers as u64,
         })
-    }
-
-    /// Least bytes of the store, and bytes of temporary files, for sources whose counts are
-    /// certain. A store has rarely less than an eighth of its records' bytes.
-    pub fn least_disk(&self, sources: &Sources) -> (u64, u64) {
-        let certain = |source: &&Source| source.scan.points_exact();
-        let points: u64 = sources.scans().iter().filter(certain).map(|s| s.scan.points()).sum();
-        let records = points.saturating_mul(u64::from(sources.schema().record_bytes));
-        // What was decompressed waits on disk while it is sorted into chunks. Packed rows are
-        // rarely less than a quarter.
-        let copies = if sources.are_compressed() { 2 } else { 1 };
-        let spilled = records.saturating_sub(self.slab_bytes) * copies / 4;
-        (records / 8, spilled)
     }
 
     /// Most points of a node that is put together in memory: rows, their order, columns and bytes.

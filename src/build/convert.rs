@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use crate::build::BuildError;
 use crate::build::budget::Budget;
 use crate::build::checkpoint::{self, Checkpoints, State, Step};
+use crate::build::disk::DiskNeed;
 use crate::build::machine::free_disk;
 use crate::build::node::TreeShape;
 use crate::build::options::{ConvertOptions, DEPTH_RANGE};
@@ -33,6 +34,8 @@ pub struct ConvertReport {
     pub output_bytes: u64,
     /// Bytes written to temporary files.
     pub temporary_bytes: u64,
+    /// What that was expected to be, by a sample of the input.
+    pub expected_temporary_bytes: u64,
     /// Whether all points were held in memory at once.
     pub in_memory: bool,
     /// Whether it went on from where a killed run was.
@@ -150,8 +153,9 @@ impl Conversion<'_> {
         }
         let mut budget = Budget::new(self.options, schema, sources.expected_points())?;
         budget.page_bytes = resumed.as_ref().map_or(budget.page_bytes, |state| state.page_bytes);
+        let disk = DiskNeed::of(sources, &budget);
         if resumed.is_none() {
-            self.check_disk(sources, &budget)?;
+            self.check_disk(disk)?;
         }
         let mut slab = Slab::reserve(budget.slab_bytes, budget.page_bytes);
         let pages_end = resumed.as_ref().map_or(0, |state| state.pages_end);
@@ -261,6 +265,7 @@ impl Conversion<'_> {
             overflow_points: built.overflow_points,
             output_bytes,
             temporary_bytes,
+            expected_temporary_bytes: disk.temporary,
             in_memory: temporary_bytes == 0,
             resumed: is_resumed,
             read_once,
@@ -270,9 +275,9 @@ impl Conversion<'_> {
         })
     }
 
-    /// Refuses what the disks cannot hold for certain: better now than after an hour.
-    fn check_disk(&self, sources: &Sources, budget: &Budget) -> Result<(), BuildError> {
-        let (least_output, temporary) = budget.least_disk(sources);
+    /// Refuses what the disks will not hold: better now than after an hour.
+    fn check_disk(&self, need: DiskNeed) -> Result<(), BuildError> {
+        let (least_output, temporary) = (need.store, need.least_temporary());
         let temp_dir = self.temp_dir();
         let output_dir = self.output.parent().filter(|folder| !folder.as_os_str().is_empty());
         let output_dir = output_dir.unwrap_or(Path::new("."));

@@ -14,6 +14,7 @@ mod chunk;
 mod claims;
 mod convert;
 mod dense_chunk;
+mod disk;
 mod encode;
 mod error;
 mod home;

@@ -10,7 +10,7 @@
 //! column, then the columns' bits.
 
 /// Rows that are packed together.
-const GROUP: usize = 64;
+pub const GROUP: usize = 64;
 
 /// Memory for packing and unpacking.
 #[derive(Default)]

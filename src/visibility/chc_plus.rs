@@ -79,7 +79,7 @@ impl Default for ChcPlusOptions {
             keep: KeepRule::Measured,
             jitter: true,
             assumed_visible_frames: 10,
-            in_vain: Some(0.07),
+            in_vain: Some(0.05),
             tight: Some(TightCut::default()),
             optimized: true,
             remember_splits: true,

@@ -48,7 +48,7 @@ impl RetestTable {
         let guessed = GUESSED_FRAMES * if all > 0.0 { dear / all } else { 1.0 };
         let classes: [(f64, f64, f64); CLASSES] = std::array::from_fn(|class| {
             let cost = self.costs[class] + guessed;
-            let loss = (self.lost[class] + 0.2 * 0.5f64.powi(class as i32) * guessed) / cost;
+            let loss = (self.lost[class] + 0.05 * 0.5f64.powi(class as i32) * guessed) / cost;
             (self.frames[class] + GUESSED_FRAMES, cost, loss)
         });
         let drawn: f64 = classes.iter().map(|(_, cost, _)| cost).sum();
@@ -149,7 +149,7 @@ mod tests {
             (0..50).for_each(|_| table.record(7, 10, 1000, false));
             table.begin_frame();
         }
-        assert_eq!(table.period(0, 0.07, 10), 10);
-        assert_eq!(table.period(7, 0.07, 10), 10);
+        assert_eq!(table.period(0, 0.05, 10), 10);
+        assert_eq!(table.period(7, 0.05, 10), 10);
     }
 }

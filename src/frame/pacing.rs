@@ -430,6 +430,7 @@ impl Pacer {
     }
 
     /// Whether the frame that is being drawn is one of a view that rests.
+    #[cfg(feature = "gpu")]
     pub(super) fn rests(&self) -> bool {
         self.stats.rests
     }

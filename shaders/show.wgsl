@@ -2,7 +2,7 @@
 // In: shown. Out: the part of the window that is the viewport, all of it.
 // Egui would do the same, but its own shader looks at four texels and wraps their coordinates with
 // divisions whatever is asked of it; where processors paint that takes a large part of their time.
-// Seen by: tests/gpu_twins.rs.
+// Seen by: tests/viewer_show.rs.
 
 // Whether the window's format takes linear values and encodes them itself; pictures are encoded.
 override IS_LINEAR: bool = false;

@@ -9,12 +9,13 @@ use std::collections::HashMap;
 
 use crate::build::encode::FinishedNode;
 use crate::build::home::{BEYOND, Homes, Waiting};
+use crate::build::levels::grow;
 use crate::build::node::{NodeBuilder, SortedPoints, TreeRules};
 use crate::build::paged_rows::{PagedRows, marked_stride};
 use crate::build::plan::Chunk;
 use crate::build::progress::Progress;
-use crate::build::rows::{RowTable, copy_short};
-use crate::build::sort::{Item, SortScratch, sort_rows};
+use crate::build::rows::{RowLayout, RowTable, copy_short};
+use crate::build::sort::{SortScratch, sort_rows};
 use crate::geometry::MortonKey;
 
 /// Points of a chunk that belong to a node reaching beyond the chunk, or to one of its dissolved
@@ -46,14 +47,24 @@ pub type Taken = (u64, u32);
 /// Memory of one worker.
 #[derive(Default)]
 pub struct ChunkScratch<K> {
-    items: Vec<Item<K>>,
-    sort: SortScratch<K>,
-    /// The rows in the order of the items.
-    sorted: Vec<u8>,
-    waiting: Vec<Waiting<K>>,
+    sort: SortScratch,
+    sorted: Sorted<K>,
+    waiting: Waiting,
     homes: Vec<u8>,
     open: Vec<OpenNode>,
     pub(super) nodes: NodeBuilder<K>,
+}
+
+/// The points of a chunk in Morton order, equal codes in input order. Lists may be longer than
+/// there are points.
+#[derive(Default)]
+struct Sorted<K> {
+    keys: Vec<K>,
+    rows: Vec<u8>,
+    /// Order of arrival: rises with the input index.
+    orders: Vec<u32>,
+    /// Levels of cells that a point shares with the one before it, plus one; 0 for the first.
+    shared: Vec<u8>,
 }
 
 /// The node that the sweep is in, at one depth.
@@ -93,55 +104,92 @@ pub fn build_chunk<K: MortonKey>(
     scratch: &mut ChunkScratch<K>,
     sink: &mut ChunkSink<'_, '_, K>,
 ) {
-    sort_rows(rows, &mut scratch.items, &mut scratch.sort);
+    let (layout, count) = (rows.layout(), rows.len());
     let mut sorted = std::mem::take(&mut scratch.sorted);
-    gather(rows, &mut scratch.items, &mut sorted);
-    let pages: Vec<&[u8]> = sorted.chunks(rows.layout().stride() << SORTED_PAGE_SHIFT).collect();
-    let rows = RowTable::new(&pages, SORTED_PAGE_SHIFT, rows.layout());
-    let homes = Homes { root_bits: rules.root_bits, levels: rules.levels };
-    find_homes(&homes, chunk, rows, taken, scratch);
-    sweep(rules, chunk, rows, scratch, sink);
-    scratch.sorted = sorted;
+    sort(rules, chunk, rows, &mut scratch.sort, &mut sorted);
+    let rows = &sorted.rows[..count * layout.stride()];
+    let cells = Homes { root_bits: rules.root_bits, levels: rules.levels };
+    find_homes(&cells, chunk, layout, taken, scratch, rows, &sorted);
+    let homes = std::mem::take(&mut scratch.homes);
+    let keys = &sorted.keys[..count];
+    let points = SortedPoints { keys, homes: &homes[..count], rows, layout };
+    sweep(rules, chunk, points, &sorted.shared[..count], scratch, sink);
+    (scratch.sorted, scratch.homes) = (sorted, homes);
 }
 
-/// Rows of a page of sorted rows, as a power of two.
-const SORTED_PAGE_SHIFT: u32 = 16;
-
-/// Brings rows into the order of their items: once out of order, so that all that comes later is a
-/// walk over memory nearly in order.
-fn gather<K: MortonKey>(rows: RowTable, items: &mut [Item<K>], sorted: &mut Vec<u8>) {
-    let stride = rows.layout().stride();
-    sorted.resize(items.len() * stride, 0);
-    for ((row, item), slot) in sorted.chunks_exact_mut(stride).zip(items).zip(0..) {
-        copy_short(row, rows.row(item.slot));
-        item.slot = slot;
+/// Brings rows into Morton order: once out of order, so that all that comes later is a walk over
+/// memory nearly in order.
+fn sort<K: MortonKey>(
+    rules: &TreeRules,
+    chunk: &Chunk<K>,
+    rows: RowTable,
+    scratch: &mut SortScratch,
+    sorted: &mut Sorted<K>,
+) {
+    let (layout, count) = (rows.layout(), rows.len());
+    let stride = layout.stride();
+    grow(&mut sorted.keys, count);
+    grow(&mut sorted.rows, count * stride);
+    grow(&mut sorted.orders, count);
+    grow(&mut sorted.shared, count);
+    let mut to = sorted.rows[..count * stride].chunks_exact_mut(stride);
+    let mut keys = sorted.keys[..count].iter_mut();
+    let mut shared = sorted.shared[..count].iter_mut();
+    let mut orders = sorted.orders[..count].iter_mut();
+    let mut previous = None;
+    sort_rows(rows, chunk.start, scratch, |key: K, slot| {
+        let (Some(to), Some(to_key), Some(shared), Some(order)) =
+            (to.next(), keys.next(), shared.next(), orders.next())
+        else {
+            return;
+        };
+        let row = rows.row(slot);
+        copy_short(to, row);
+        *to_key = key;
+        *shared = previous.map_or(0, |p| key.shared_levels(p, rules.root_bits) as u8 + 1);
+        *order = layout.index(row) as u32;
+        previous = Some(key);
+    });
+    if !layout.has_short_indices() {
+        let rows = sorted.rows[..count * stride].chunks_exact(stride);
+        rank(rows.map(|row| layout.index(row)), &mut sorted.orders);
     }
 }
 
-/// Fills `homes`, one per item.
+/// Replaces indices that do not fit 32 bits by their ranks: only their order counts.
+fn rank(indices: impl Iterator<Item = u64>, orders: &mut [u32]) {
+    let mut sorted: Vec<(u64, u32)> = indices.zip(0..).collect();
+    sorted.sort_unstable();
+    for ((_, place), rank) in sorted.into_iter().zip(0..) {
+        orders[place as usize] = rank;
+    }
+}
+
+/// Fills `homes`, one per point.
 fn find_homes<K: MortonKey>(
     homes: &Homes,
     chunk: &Chunk<K>,
-    rows: RowTable,
+    layout: RowLayout,
     taken: &[Taken],
     scratch: &mut ChunkScratch<K>,
+    rows: &[u8],
+    sorted: &Sorted<K>,
 ) {
-    let ChunkScratch { items, sort, waiting, homes: out, .. } = scratch;
-    out.clear();
-    out.resize(items.len(), 0);
+    let ChunkScratch { waiting, homes: out, .. } = scratch;
+    let count = rows.len() / layout.stride();
+    grow(out, count);
     waiting.clear();
-    let all = items.iter().zip(sort.orders()).zip(0..);
-    let wait =
-        |((item, &index), place): ((&Item<K>, &u32), u32)| Waiting { key: item.key, index, place };
+    let all = sorted.orders[..count].iter().zip(&sorted.shared).zip(0u32..);
     if taken.is_empty() {
-        waiting.extend(all.map(wait));
+        all.for_each(|((&order, &shared), place)| waiting.push(order, place, shared));
     } else {
-        let layout = rows.layout();
         let taken: HashMap<u64, u32> = taken.iter().copied().collect();
-        for point in all {
-            match taken.get(&layout.index(rows.row(point.0.0.slot))) {
-                Some(depth) => out[point.1 as usize] = *depth as u8,
-                None => waiting.push(wait(point)),
+        let mut gap = u8::MAX;
+        for (((&order, &shared), place), row) in all.zip(rows.chunks_exact(layout.stride())) {
+            gap = gap.min(shared);
+            match taken.get(&layout.index(row)) {
+                Some(depth) => out[place as usize] = *depth as u8,
+                None => waiting.push(order, place, std::mem::replace(&mut gap, u8::MAX)),
             }
         }
     }
@@ -163,33 +211,31 @@ fn reaches_beyond<K: MortonKey>(chunk: &Chunk<K>, depth: u32, key: K, root_bits:
 fn sweep<K: MortonKey>(
     rules: &TreeRules,
     chunk: &Chunk<K>,
-    rows: RowTable,
+    points: SortedPoints<K>,
+    shared: &[u8],
     scratch: &mut ChunkScratch<K>,
     sink: &mut ChunkSink<'_, '_, K>,
 ) {
-    let ChunkScratch { items, homes, open, nodes, .. } = scratch;
-    let Some(first) = items.first() else { return };
+    let ChunkScratch { open, nodes, .. } = scratch;
+    let Some(&last) = points.keys.last() else { return };
     let depths = rules.max_depth() as usize + 1;
     open.resize_with(depths, OpenNode::default);
-    let points = SortedPoints { items, homes, rows };
+    let (keys, homes) = (points.keys, points.homes);
     let mut sweep = Sweep { rules, chunk, points, open, nodes, sink };
-    let mut key = first.key;
     let mut deepest = 0;
-    for (place, item) in items.iter().enumerate() {
-        let differing = item.key.differing_bits(key).div_ceil(3);
+    for ((place, &shared), &home) in (0u32..).zip(shared).zip(homes) {
         // Nodes at this depth and above contain both points.
-        let shared = rules.root_bits - differing;
+        let shared = u32::from(shared).saturating_sub(1);
         if shared < deepest {
-            sweep.close_below(shared, deepest, key);
+            sweep.close_below(shared, deepest, keys[place as usize - 1]);
             deepest = shared;
         }
-        let home = u32::from(homes[place] & !BEYOND);
+        let home = u32::from(home & !BEYOND);
         deepest = deepest.max(home);
-        sweep.open[home as usize].members.push(place as u32);
-        key = item.key;
+        sweep.open[home as usize].members.push(place);
     }
-    sweep.close_below(0, deepest, key);
-    sweep.close(0, key);
+    sweep.close_below(0, deepest, last);
+    sweep.close(0, last);
 }
 
 struct Sweep<'a, 's, 'p, K> {
@@ -236,8 +282,8 @@ impl<K: MortonKey> Sweep<'_, '_, '_, K> {
     }
 
     fn contribute(&mut self, depth: u32, key: K, entering: u64, members: &[u32]) {
-        let stride = self.points.rows.layout().stride();
-        let marked = marked_stride(self.points.rows.layout());
+        let stride = self.points.layout.stride();
+        let marked = marked_stride(self.points.layout);
         let mut rows = vec![0; members.len() * marked];
         for (row, &place) in rows.chunks_exact_mut(marked).zip(members) {
             copy_short(&mut row[..stride], self.points.row(place));

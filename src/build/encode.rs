@@ -60,8 +60,8 @@ impl Encoder {
         totals: Vec<u32>,
         encoding: &Encoding,
     ) -> FinishedNode {
-        let cell = points.items[ordered[0] as usize].key.ancestor(local_bits).decode();
-        let layout = points.rows.layout();
+        let cell = points.keys[ordered[0] as usize].ancestor(local_bits).decode();
+        let layout = points.layout;
         let stride = layout.attribute_bytes();
         // Gathered once, so that each column is then a walk over memory in order.
         self.records.resize(ordered.len() * stride, 0);
@@ -185,7 +185,7 @@ fn push_positions<K: MortonKey>(
     local_bits: u32,
     column: &mut Vec<u8>,
 ) -> [UVec3; 2] {
-    let keys = ordered.iter().map(|&place| points.items[place as usize].key.local(local_bits));
+    let keys = ordered.iter().map(|&place| points.keys[place as usize].local(local_bits));
     push_local(keys.clone(), local_bits, column);
     K::bounds(keys).map(UVec3::from)
 }

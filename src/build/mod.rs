@@ -20,6 +20,7 @@ mod error;
 mod home;
 mod in_order;
 mod large;
+mod levels;
 mod machine;
 mod node;
 mod options;

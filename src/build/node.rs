@@ -5,8 +5,8 @@
 //! After: Wimmer and Scheiblauer 2006, section 6.4.6 of the dissertation chapter.
 
 use crate::build::encode::{Encoder, Encoding, FinishedNode};
-use crate::build::rows::RowTable;
-use crate::build::sort::Item;
+use crate::build::levels::{Levels, grow};
+use crate::build::rows::RowLayout;
 use crate::geometry::MortonKey;
 
 /// How a cell's representative is chosen among those of its child cells.
@@ -67,12 +67,14 @@ impl TreeRules<'_> {
 
 /// Points in Morton order, equal codes in input order, with the depths they are at home at.
 pub struct SortedPoints<'a, K> {
-    /// Codes and slots.
-    pub items: &'a [Item<K>],
-    /// Depth per item, marked with [`BEYOND`](crate::build::home::BEYOND) if no cell takes the point.
+    /// Codes.
+    pub keys: &'a [K],
+    /// Depth per point, marked with [`BEYOND`](crate::build::home::BEYOND) if no cell takes it.
     pub homes: &'a [u8],
-    /// The rows.
-    pub rows: RowTable<'a>,
+    /// Their rows, one after the other.
+    pub rows: &'a [u8],
+    /// How rows are laid out.
+    pub layout: RowLayout,
 }
 
 impl<'a, K: MortonKey> SortedPoints<'a, K> {
@@ -85,7 +87,8 @@ impl<'a, K: MortonKey> SortedPoints<'a, K> {
     /// A point's row.
     #[inline]
     pub fn row(&self, place: u32) -> &'a [u8] {
-        self.rows.row(self.items[place as usize].slot)
+        let stride = self.layout.stride();
+        &self.rows[place as usize * stride..][..stride]
     }
 }
 
@@ -101,12 +104,7 @@ pub struct Candidate {
 /// Turns points into nodes; its memory is used again.
 #[derive(Default)]
 pub struct NodeBuilder<K> {
-    candidates: Vec<Candidate>,
-    /// Codes of the cells at work, and the candidate that stands for each.
-    codes: Vec<K>,
-    standing: Vec<u32>,
-    candidate_levels: Vec<u8>,
-    levels: Vec<u8>,
+    levels: Levels<K>,
     ordered: Vec<u32>,
     encoder: Encoder,
 }
@@ -121,107 +119,22 @@ impl<K: MortonKey> NodeBuilder<K> {
         points: &SortedPoints<K>,
         members: &[u32],
     ) -> FinishedNode {
-        self.assign_levels(rules, depth, points, members);
-        let mut totals = vec![0u32; rules.levels as usize + 1];
-        self.levels.iter().for_each(|&level| totals[usize::from(level)] += 1);
-        for level in 1..totals.len() {
-            totals[level] += totals[level - 1];
-        }
+        let (totals, kept) = self.levels.assign(rules, depth, points, members);
         let mut places: Vec<u32> =
             std::iter::once(0).chain(totals.iter().copied()).take(totals.len()).collect();
-        self.ordered.clear();
-        self.ordered.resize(members.len(), 0);
-        for (&member, &level) in members.iter().zip(&self.levels) {
+        grow(&mut self.ordered, members.len());
+        let ordered = &mut self.ordered[..members.len()];
+        for (&member, &level) in members.iter().zip(self.levels.levels()) {
             let place = &mut places[usize::from(level)];
-            self.ordered[*place as usize] = member;
+            ordered[*place as usize] = member;
             *place += 1;
         }
         let local_bits = rules.root_bits - depth;
         let encoding = &rules.encoding;
         let mut finished =
-            self.encoder.encode(depth, local_bits, points, &self.ordered, totals, encoding);
-        finished.overflow_points = (members.len() - self.candidates.len()) as u64;
+            self.encoder.encode(depth, local_bits, points, ordered, totals, encoding);
+        finished.overflow_points = (members.len() - kept) as u64;
         finished
-    }
-
-    /// Fills `levels`, one per member: 0 for the node's single coarsest point.
-    fn assign_levels(
-        &mut self,
-        rules: &TreeRules,
-        depth: u32,
-        points: &SortedPoints<K>,
-        members: &[u32],
-    ) {
-        let finest_shift = rules.root_bits - depth - rules.levels;
-        let layout = points.rows.layout();
-        self.codes.resize(members.len(), K::default());
-        self.candidates.resize(members.len(), Candidate::default());
-        let mut kept = 0;
-        for &member in members {
-            let item = &points.items[member as usize];
-            let row = points.rows.row(item.slot);
-            // Written in any case, and over again by the next one if it does not count.
-            self.codes[kept] = item.key.ancestor(finest_shift);
-            self.candidates[kept] =
-                Candidate { color: layout.color(row), index: layout.index(row) };
-            kept += usize::from(points.is_kept(member, depth));
-        }
-        self.codes.truncate(kept);
-        self.candidates.truncate(kept);
-        self.candidate_levels.clear();
-        self.candidate_levels.resize(self.candidates.len(), rules.levels as u8);
-        self.standing.clear();
-        self.standing.extend(0..self.candidates.len() as u32);
-        let centers = rules.representative == Representative::Center;
-        let is_by_arrival =
-            matches!(rules.representative, Representative::Color | Representative::First);
-        let chosen: Vec<K> = if centers {
-            let kept = members.iter().filter(|&&member| points.is_kept(member, depth));
-            kept.map(|&member| points.items[member as usize].key).collect()
-        } else {
-            Vec::new()
-        };
-        for level in (0..rules.levels).rev() {
-            let shift = rules.root_bits - depth - level;
-            let (mut start, mut end) = (0, 0);
-            while start < self.codes.len() {
-                let code = self.codes[start].ancestor(1);
-                let mut stop = start + 1;
-                while stop < self.codes.len() && self.codes[stop].ancestor(1) == code {
-                    stop += 1;
-                }
-                let group = &self.standing[start..stop];
-                let winner = match group {
-                    [only] => *only,
-                    // Two are equally far from their mean: the earlier one, except by chance.
-                    &[a, b] if is_by_arrival => {
-                        let index = |i: u32| self.candidates[i as usize].index;
-                        if index(a) < index(b) { a } else { b }
-                    }
-                    _ => pick(
-                        group,
-                        &self.candidates,
-                        &chosen,
-                        shift,
-                        rules.representative,
-                        layout.has_color(),
-                    ),
-                };
-                self.candidate_levels[winner as usize] = level as u8;
-                self.standing[end] = winner;
-                self.codes[end] = code;
-                end += 1;
-                start = stop;
-            }
-            self.standing.truncate(end);
-            self.codes.truncate(end);
-        }
-        let mut next = self.candidate_levels.iter();
-        self.levels.clear();
-        self.levels.extend(members.iter().map(|&member| match points.is_kept(member, depth) {
-            true => *next.next().expect("every kept point has a level"),
-            false => rules.levels as u8,
-        }));
     }
 }
 
@@ -269,16 +182,27 @@ fn nearest_to_mean(group: &[u32], candidates: &[Candidate]) -> u32 {
     let mut best = (i64::MAX, u64::MAX, 0);
     for &i in group {
         let candidate = &candidates[i as usize];
-        // Distances to the mean times the group's size, so that all stays in integers.
-        let mut distance = 0;
-        for (sum, channel) in sum.iter().zip(candidate.color) {
-            distance += (size * i64::from(channel) - sum).pow(2);
-        }
+        let distance = from_mean(candidate.color.map(i64::from), sum, size);
         if (distance, candidate.index) < (best.0, best.1) {
             best = (distance, candidate.index, i);
         }
     }
     best.2
+}
+
+/// How far a colour is from the mean of some, squared, times the square of their number, so that
+/// all stays in integers.
+#[inline]
+pub fn from_mean(color: [i64; 3], sum: [i64; 3], size: i64) -> i64 {
+    let off = |i: usize| size * color[i] - sum[i];
+    off(0) * off(0) + off(1) * off(1) + off(2) * off(2)
+}
+
+/// How far a point is from the middle of its cell of the lowest `3 shift` bits, squared, in half
+/// steps.
+pub fn from_center<K: MortonKey>(key: K, shift: u32) -> i128 {
+    let edge = 1i128 << shift;
+    key.local(shift).decode().map(|c| (2 * i128::from(c) + 1 - edge).pow(2)).iter().sum()
 }
 
 fn nearest_to_center<K: MortonKey>(
@@ -287,17 +211,13 @@ fn nearest_to_center<K: MortonKey>(
     shift: u32,
     candidates: &[Candidate],
 ) -> u32 {
-    let off = |i: u32| -> i128 {
-        let local = keys[i as usize].local(shift).decode();
-        let edge = 1i128 << shift;
-        local.map(|c| (2 * i128::from(c) + 1 - edge).pow(2)).iter().sum()
-    };
+    let off = |i: u32| from_center(keys[i as usize], shift);
     let best = group.iter().copied().min_by_key(|&i| (off(i), candidates[i as usize].index));
     best.expect("a group has a candidate")
 }
 
 /// A bijective 64-bit hash (the finalizer of SplitMix64).
-fn scramble(mut x: u64) -> u64 {
+pub fn scramble(mut x: u64) -> u64 {
     x = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
     x = (x ^ x >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     x = (x ^ x >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);

@@ -25,7 +25,19 @@ impl RowLayout {
         }
     }
 
+    /// Rows of a code and an index of 8 bytes.
+    #[cfg(test)]
+    pub fn for_tests<K: MortonKey>() -> Self {
+        RowLayout { key_bytes: K::BYTES, index_bytes: 8, attribute_bytes: 0, color: None }
+    }
+
+    /// Whether input indices fit 32 bits.
+    pub fn has_short_indices(&self) -> bool {
+        self.index_bytes == 4
+    }
+
     /// Bytes of a row.
+    #[inline]
     pub fn stride(&self) -> usize {
         self.key_bytes + self.index_bytes + self.attribute_bytes
     }
@@ -128,6 +140,16 @@ impl<'a> RowTable<'a> {
         let stride = self.layout.stride();
         let place = (slot & ((1 << self.page_shift) - 1)) as usize * stride;
         &self.pages[(slot >> self.page_shift) as usize][place..place + stride]
+    }
+
+    /// Number of rows.
+    pub fn len(&self) -> usize {
+        self.pages.iter().map(|page| page.len() / self.layout.stride()).sum()
+    }
+
+    /// Bits that hold all slots.
+    pub fn slot_bits(&self) -> u32 {
+        self.page_shift + (usize::BITS - self.pages.len().saturating_sub(1).leading_zeros())
     }
 
     /// All slots with their rows, page by page.

@@ -1,17 +1,8 @@
 //! Sorting a chunk's points by Morton code: a radix sort over the highest bits in which they
-//! differ, then the few points that these do not tell apart.
+//! differ, then the few that these do not tell apart.
 
 use crate::build::rows::RowTable;
 use crate::geometry::MortonKey;
-
-/// A point of a chunk: its Morton code and the slot of its row.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Item<K> {
-    /// Morton code over all bits of the root cube.
-    pub key: K,
-    /// Where the row is.
-    pub slot: u32,
-}
 
 /// Widest digit: the counts of a pass stay in the first-level cache.
 const DIGIT_BITS: u32 = 11;
@@ -21,118 +12,78 @@ const FEW: usize = 16;
 
 /// Memory of a sort.
 #[derive(Default)]
-pub struct SortScratch<K> {
-    /// In the order of the rows.
-    unsorted: Vec<Item<K>>,
-    indices: Vec<u64>,
+pub struct SortScratch {
     packed: Vec<u64>,
     spare: Vec<u64>,
-    orders: Vec<u32>,
 }
 
-impl<K> SortScratch<K> {
-    /// Per sorted item its order of arrival: rises with the input index.
-    pub fn orders(&self) -> &[u32] {
-        &self.orders
-    }
-}
-
-/// Replaces `items` by all rows of a table: by Morton code, equal codes by input index.
+/// Hands out all rows of a table, each by its code and slot: by Morton code, equal codes by input
+/// index. No code may be smaller than `base`.
 pub fn sort_rows<K: MortonKey>(
     rows: RowTable,
-    items: &mut Vec<Item<K>>,
-    scratch: &mut SortScratch<K>,
+    base: K,
+    scratch: &mut SortScratch,
+    mut take: impl FnMut(K, u32),
 ) {
-    let layout = rows.layout();
-    scratch.unsorted.clear();
-    scratch.indices.clear();
+    let slot_bits = rows.slot_bits();
+    let SortScratch { packed, spare } = scratch;
+    packed.clear();
+    // A place behind the base and a slot are half the bytes to move.
+    let mut fits = true;
+    let most_offset = u64::MAX.checked_shr(slot_bits).unwrap_or(0);
     for page in rows.slots() {
-        scratch.unsorted.extend(page.clone().map(|(slot, row)| Item { key: K::read(row), slot }));
-        scratch.indices.extend(page.map(|(_, row)| layout.index(row)));
+        packed.extend(page.map(|(slot, row)| {
+            let offset = K::read(row).offset_from(base).filter(|&offset| offset <= most_offset);
+            fits &= offset.is_some();
+            offset.unwrap_or(0) << slot_bits | u64::from(slot)
+        }));
     }
-    sort(items, scratch);
-}
-
-/// Sorts what is `unsorted` into `items` and `orders`.
-fn sort<K: MortonKey>(items: &mut Vec<Item<K>>, scratch: &mut SortScratch<K>) {
-    let SortScratch { unsorted, indices, packed, spare, orders } = scratch;
-    items.clear();
-    orders.clear();
-    rank(indices);
-    let keys = || unsorted.iter().map(|item| item.key);
-    let (Some(least), Some(most)) = (keys().min(), keys().max()) else { return };
-    let place_bits = usize::BITS - (unsorted.len() - 1).leading_zeros();
-    let bits = most.offset_from(least).map(|range| u64::BITS - range.leading_zeros());
-    match bits.filter(|bits| bits + place_bits <= u64::BITS) {
-        // An offset and a place are half the bytes to move.
-        Some(bits) => {
-            packed.clear();
-            packed.extend(unsorted.iter().zip(0u64..).map(|(item, place)| {
-                item.key.offset_from(least).unwrap_or(0) << place_bits | place
-            }));
-            sort_packed(packed, spare, bits + place_bits, place_bits);
-            let mask = (1u64 << place_bits) - 1;
-            let place = |packed: &u64| (packed & mask) as usize;
-            items.extend(packed.iter().map(|packed| Item {
-                key: least.at_offset(packed >> place_bits),
-                slot: unsorted[place(packed)].slot,
-            }));
-            orders.extend(packed.iter().map(|packed| indices[place(packed)] as u32));
+    let index = |slot: u32| rows.layout().index(rows.row(slot));
+    if !fits {
+        let mut all: Vec<(K, u64, u32)> = Vec::with_capacity(packed.len());
+        for page in rows.slots() {
+            all.extend(page.map(|(slot, row)| (K::read(row), rows.layout().index(row), slot)));
         }
-        None => {
-            let mut places: Vec<u32> = (0..unsorted.len() as u32).collect();
-            places.sort_unstable_by_key(|&place| unsorted[place as usize].key);
-            items.extend(places.iter().map(|&place| unsorted[place as usize]));
-            orders.extend(places.iter().map(|&place| indices[place as usize] as u32));
+        all.sort_unstable();
+        return all.into_iter().for_each(|(key, _, slot)| take(key, slot));
+    }
+    sort_packed(packed, spare, slot_bits);
+    let key = |packed: u64| base.at_offset(packed.checked_shr(slot_bits).unwrap_or(0));
+    let slot = |packed: u64| (packed & !(u64::MAX << slot_bits)) as u32;
+    let is_equal = |a: u64, b: u64| (a ^ b) >> slot_bits == 0;
+    let mut rest = packed.as_slice();
+    while let [first, tail @ ..] = rest {
+        if tail.first().is_none_or(|second| !is_equal(*first, *second)) {
+            take(key(*first), slot(*first));
+            rest = tail;
+            continue;
         }
-    }
-    sort_equal(items, orders);
-}
-
-/// Makes indices fit 32 bits: where one does not, all become their ranks. Only their order counts.
-fn rank(indices: &mut [u64]) {
-    if indices.iter().all(|&index| index <= u64::from(u32::MAX)) {
-        return;
-    }
-    let mut sorted = indices.to_vec();
-    sorted.sort_unstable();
-    for index in indices {
-        *index = sorted.partition_point(|other| other < index) as u64;
+        let equal = 1 + tail.iter().take_while(|other| is_equal(*first, **other)).count();
+        let (group, tail) = rest.split_at(equal);
+        let mut slots: Vec<u32> = group.iter().map(|&packed| slot(packed)).collect();
+        slots.sort_by_cached_key(|&slot| index(slot));
+        slots.into_iter().for_each(|slot| take(key(*first), slot));
+        rest = tail;
     }
 }
 
-/// Brings items of equal keys into their order of arrival.
-fn sort_equal<K: MortonKey>(items: &mut [Item<K>], orders: &mut [u32]) {
-    let mut start = 0;
-    while start < items.len() {
-        let key = items[start].key;
-        let equal = items[start + 1..].iter().take_while(|item| item.key == key).count();
-        let end = start + 1 + equal;
-        if equal > 0 {
-            let equal = items[start..end].iter().zip(&orders[start..end]);
-            let mut sorted: Vec<(u32, Item<K>)> = equal.map(|(item, &o)| (o, *item)).collect();
-            sorted.sort_unstable_by_key(|&(order, _)| order);
-            for (i, (order, item)) in (start..end).zip(sorted) {
-                (items[i], orders[i]) = (item, order);
-            }
-        }
-        start = end;
-    }
-}
-
-/// Sorts numbers of so many bits, of which the lowest `free_bits` differ between all that are else
-/// equal and need no order of their own.
+/// Sorts numbers of which the lowest `free_bits` differ between all that are else equal and need no
+/// order of their own.
 ///
 /// Two passes over the highest bits leave groups of a few, as points of a chunk crowd nowhere
 /// much; where they do, a comparison sort takes over.
-fn sort_packed(packed: &mut Vec<u64>, spare: &mut Vec<u64>, bits: u32, free_bits: u32) {
+fn sort_packed(packed: &mut Vec<u64>, spare: &mut Vec<u64>, free_bits: u32) {
     if packed.len() <= 256 {
         return packed.sort_unstable();
     }
+    let range = packed.iter().fold((u64::MAX, 0), |(a, b), &item| (a.min(item), b.max(item)));
+    let least = range.0 & (u64::MAX << free_bits);
+    let bits = u64::BITS - (range.1 - least).leading_zeros();
     let low = bits.saturating_sub(2 * DIGIT_BITS).max(free_bits);
     spare.resize(packed.len(), 0);
-    let digit = |item: u64, shift: u32| (item >> shift) as usize & (DIGIT_VALUES - 1);
-    let shifts = [low, low + DIGIT_BITS];
+    let digit = |item: u64, shift: u32| ((item - least) >> shift) as usize & (DIGIT_VALUES - 1);
+    // Above all bits every digit is 0.
+    let shifts = [low.min(u64::BITS - 1), (low + DIGIT_BITS).min(u64::BITS - 1)];
     let mut places = [[0u32; DIGIT_VALUES]; 2];
     for &item in packed.iter() {
         for (places, shift) in places.iter_mut().zip(shifts) {
@@ -151,59 +102,65 @@ fn sort_packed(packed: &mut Vec<u64>, spare: &mut Vec<u64>, bits: u32, free_bits
         }
         std::mem::swap(packed, spare);
     }
-    if low <= free_bits {
-        return;
-    }
-    let mut rest = packed.as_mut_slice();
-    while let Some(first) = rest.first() {
-        let top = first >> low;
-        let count = 1 + rest[1..].iter().take_while(|&item| item >> low == top).count();
-        let (group, tail) = rest.split_at_mut(count);
-        if count > 1 {
-            sort_group(group);
-        }
-        rest = tail;
+    if low > free_bits {
+        sort_nearly_sorted(packed, |item| (item - least) >> low);
     }
 }
 
-fn sort_group(group: &mut [u64]) {
-    if group.len() > FEW {
-        return group.sort_unstable();
-    }
-    for end in 1..group.len() {
-        let item = group[end];
+/// Sorts numbers that are in order by `group`, which rises with them.
+fn sort_nearly_sorted(items: &mut [u64], group: impl Fn(u64) -> u64) {
+    let mut end = 1;
+    while end < items.len() {
+        let item = items[end];
         let mut at = end;
-        while at > 0 && group[at - 1] > item {
-            group[at] = group[at - 1];
+        while at > 0 && items[at - 1] > item && end - at <= FEW {
+            items[at] = items[at - 1];
             at -= 1;
         }
-        group[at] = item;
+        items[at] = item;
+        end += 1;
+        if end - at > FEW {
+            // A crowd.
+            let crowd = group(item);
+            let start = items[..at].partition_point(|&other| group(other) < crowd);
+            let count = items[end..].iter().take_while(|&&other| group(other) == crowd).count();
+            items[start..end + count].sort_unstable();
+            end += count;
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::build::rows::RowLayout;
     use proptest::prelude::*;
 
     fn check<K: MortonKey>(points: Vec<(K, u64)>) {
-        let mut scratch = SortScratch {
-            unsorted: (0..).zip(&points).map(|(slot, &(key, _))| Item { key, slot }).collect(),
-            indices: points.iter().map(|&(_, index)| index).collect(),
-            ..SortScratch::default()
-        };
-        let mut items = Vec::new();
-        sort(&mut items, &mut scratch);
-        let mut expected: Vec<u32> = (0..points.len() as u32).collect();
-        expected.sort_by_key(|&slot| points[slot as usize]);
-        let slots: Vec<u32> = items.iter().map(|item| item.slot).collect();
-        assert_eq!(slots, expected);
-        assert!(items.iter().all(|item| item.key == points[item.slot as usize].0));
-        // Orders compare as the indices do.
-        let index = |place: usize| points[items[place].slot as usize].1;
-        for (place, pair) in scratch.orders().windows(2).enumerate() {
-            assert_eq!(pair[0].cmp(&pair[1]), index(place).cmp(&index(place + 1)));
+        let layout = RowLayout::for_tests::<K>();
+        let stride = layout.stride();
+        let mut bytes = vec![0; points.len() * stride];
+        for (row, &(key, index)) in bytes.chunks_exact_mut(stride).zip(&points) {
+            layout.write(row, key, index, &[]);
         }
+        // Pages of 64 rows, the third of which ends early.
+        let (mut pages, mut rest) = (Vec::new(), bytes.as_slice());
+        while !rest.is_empty() {
+            let most = if pages.len() == 2 { 5 } else { 64 };
+            let (page, tail) = rest.split_at(rest.len().min(most * stride));
+            pages.push(page);
+            rest = tail;
+        }
+        let rows = RowTable::new(&pages, 6, layout);
+        let base = points.iter().map(|&(key, _)| key).min().unwrap_or_default();
+        let mut found = Vec::new();
+        sort_rows(rows, base, &mut SortScratch::default(), |key: K, slot| {
+            assert_eq!(K::read(rows.row(slot)), key);
+            found.push((key, layout.index(rows.row(slot))));
+        });
+        let mut expected = points;
+        expected.sort();
+        assert_eq!(found, expected);
     }
 
     /// Different indices for keys, in no order that keeps step with them.

@@ -12,8 +12,7 @@ use crate::build::node::{NodeBuilder, SortedPoints, TreeRules};
 use crate::build::ordered::DoneNode;
 use crate::build::paged_rows::{PagedRows, marked_stride};
 use crate::build::pages::{DiskPlace, PageStore};
-use crate::build::rows::{RowLayout, RowTable, copy_short};
-use crate::build::sort::Item;
+use crate::build::rows::{RowLayout, copy_short};
 use crate::geometry::MortonKey;
 
 /// A node whose chunks are not all done.
@@ -190,7 +189,6 @@ impl<'p> ReadyNode<'p> {
                 rules, self.depth, rows, layout, pages,
             )?));
         }
-        const PAGE_SHIFT: u32 = 16;
         let stride = layout.stride();
         let mut rows = vec![0; points as usize * stride];
         let mut kept = Vec::with_capacity(points as usize);
@@ -208,26 +206,26 @@ impl<'p> ReadyNode<'p> {
         self.rows.visit(pages, &mut take)?;
         take(&self.between)?;
         self.rows.discard(pages)?;
-        let pages: Vec<&[u8]> = rows.chunks(stride << PAGE_SHIFT).collect();
-        let rows = RowTable::new(&pages, PAGE_SHIFT, layout);
-        let mut items: Vec<Item<K>> = Vec::with_capacity(points as usize);
-        for page in rows.slots() {
-            items.extend(page.map(|(slot, row)| Item { key: K::read(row), slot }));
+        if main < points {
+            // Those of dissolved children are few, the others in order: merged, not sorted.
+            let row = |place: u32| &rows[place as usize * stride..][..stride];
+            let rank = |place: u32| (K::read(row(place)), layout.index(row(place)));
+            let mut order: Vec<u32> = (0..points as u32).collect();
+            order[main as usize..].sort_unstable_by_key(|&place| rank(place));
+            order.sort_by_key(|&place| rank(place));
+            let mut sorted = vec![0; rows.len()];
+            for (to, &place) in sorted.chunks_exact_mut(stride).zip(&order) {
+                copy_short(to, row(place));
+            }
+            kept = order.iter().map(|&place| kept[place as usize]).collect();
+            rows = sorted;
         }
-        let index = |item: &Item<K>| layout.index(rows.row(item.slot));
-        let order = |a: &Item<K>, b: &Item<K>| a.key.cmp(&b.key).then(index(a).cmp(&index(b)));
-        // Those of dissolved children are few, the others in order: merged rather than sorted.
-        items[main as usize..].sort_unstable_by(order);
-        if main > 0 && main < points {
-            items.sort_by(order);
-        }
-        let home = |item: &Item<K>| match kept[item.slot as usize] {
-            true => self.depth as u8,
-            false => self.depth as u8 | BEYOND,
-        };
-        let homes: Vec<u8> = items.iter().map(home).collect();
-        let members: Vec<u32> = (0..items.len() as u32).collect();
-        let points = SortedPoints { items: &items, homes: &homes, rows };
+        let keys: Vec<K> = rows.chunks_exact(stride).map(K::read).collect();
+        let depth = self.depth as u8;
+        let home = |is_kept: &bool| if *is_kept { depth } else { depth | BEYOND };
+        let homes: Vec<u8> = kept.iter().map(home).collect();
+        let members: Vec<u32> = (0..keys.len() as u32).collect();
+        let points = SortedPoints { keys: &keys, homes: &homes, rows: &rows, layout };
         Ok(DoneNode::Finished(builder.finish(rules, self.depth, &points, &members)))
     }
 }

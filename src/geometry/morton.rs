@@ -24,6 +24,12 @@ pub trait MortonKey: Copy + Ord + Send + Sync + Debug + Hash + Default + 'static
     fn ancestor(self, levels: u32) -> Self;
     /// Number of low bits in which two codes may differ: 0 if they are equal.
     fn differing_bits(self, other: Self) -> u32;
+    /// Levels of the cells that hold both codes, which have so many bits per axis: `bits` if they
+    /// are equal.
+    #[inline]
+    fn shared_levels(self, other: Self, bits: u32) -> u32 {
+        bits - self.differing_bits(other).div_ceil(3)
+    }
     /// The first code within this cell, `levels` levels down.
     fn first_within(self, levels: u32) -> Self;
     /// The next code.
@@ -52,9 +58,11 @@ pub trait MortonKey: Copy + Ord + Send + Sync + Debug + Hash + Default + 'static
 /// What is done alike to codes of both widths.
 macro_rules! same_for_both_widths {
     () => {
+        #[inline]
         fn ancestor(self, levels: u32) -> Self {
             self.checked_shr(3 * levels).unwrap_or(0)
         }
+        #[inline]
         fn differing_bits(self, other: Self) -> u32 {
             Self::BITS - (self ^ other).leading_zeros()
         }
@@ -103,12 +111,15 @@ impl MortonKey for u64 {
     fn write(self, bytes: &mut [u8]) {
         bytes[..8].copy_from_slice(&self.to_le_bytes());
     }
+    #[inline]
     fn read(bytes: &[u8]) -> Self {
         u64::from_le_bytes(bytes[..8].try_into().expect("a code has 8 bytes"))
     }
+    #[inline]
     fn local(self, bits: u32) -> Self {
         self & 1u64.checked_shl(3 * bits).map_or(u64::MAX, |bit| bit - 1)
     }
+    #[inline]
     fn low_u64(self) -> u64 {
         self
     }
@@ -118,9 +129,11 @@ impl MortonKey for u64 {
     fn narrow(wide: u128) -> Self {
         wide as u64
     }
+    #[inline]
     fn offset_from(self, base: Self) -> Option<u64> {
         self.checked_sub(base)
     }
+    #[inline]
     fn at_offset(self, offset: u64) -> Self {
         self.wrapping_add(offset)
     }
@@ -145,14 +158,17 @@ impl MortonKey for u128 {
     fn write(self, bytes: &mut [u8]) {
         bytes[..12].copy_from_slice(&self.to_le_bytes()[..12]);
     }
+    #[inline]
     fn read(bytes: &[u8]) -> Self {
         let mut wide = [0; 16];
         wide[..12].copy_from_slice(&bytes[..12]);
         u128::from_le_bytes(wide)
     }
+    #[inline]
     fn local(self, bits: u32) -> Self {
         self & 1u128.checked_shl(3 * bits).map_or(u128::MAX, |bit| bit - 1)
     }
+    #[inline]
     fn low_u64(self) -> u64 {
         self as u64
     }
@@ -162,9 +178,11 @@ impl MortonKey for u128 {
     fn narrow(wide: u128) -> Self {
         wide
     }
+    #[inline]
     fn offset_from(self, base: Self) -> Option<u64> {
         u64::try_from(self.checked_sub(base)?).ok()
     }
+    #[inline]
     fn at_offset(self, offset: u64) -> Self {
         self.wrapping_add(u128::from(offset))
     }

@@ -10,15 +10,11 @@ use crate::build::BuildError;
 use crate::build::encode::FinishedNode;
 use crate::build::home::BEYOND;
 use crate::build::node::{NodeBuilder, SortedPoints, TreeRules};
-use crate::build::rows::{RowLayout, RowTable};
-use crate::build::sort::Item;
+use crate::build::rows::{RowLayout, RowTable, copy_short};
 use crate::geometry::MortonKey;
 use crate::ids::NodeId;
 use crate::points::COORDINATE_BYTES;
 use crate::store::{NARROW_BITS, Store};
-
-/// Rows of pages that a node is built from.
-const PAGE_SHIFT: u32 = 16;
 
 /// What all nodes work with.
 pub struct Growth<'a> {
@@ -30,6 +26,15 @@ pub struct Growth<'a> {
     pub layout: RowLayout,
     /// Rows of the new points.
     pub arrivals: RowTable<'a>,
+}
+
+/// A new point: its Morton code and the slot of its row.
+#[derive(Clone, Copy, Debug)]
+pub struct Item<K> {
+    /// Morton code over all bits of the root cube.
+    pub key: K,
+    /// Where the row is.
+    pub slot: u32,
 }
 
 /// Points on their way into a cell.
@@ -305,16 +310,19 @@ impl Growth<'_> {
             members.push((entry.key, entry.index, slot, is_kept));
         }
         members.sort_unstable();
-        let pages: Vec<&[u8]> = rows.chunks(self.layout.stride() << PAGE_SHIFT).collect();
-        let table = RowTable::new(&pages, PAGE_SHIFT, self.layout);
-        let items: Vec<Item<K>> =
-            members.iter().map(|&(key, _, slot, _)| Item { key, slot }).collect();
+        let stride = self.layout.stride();
+        let mut sorted = vec![0; members.len() * stride];
+        for (to, &(_, _, slot, _)) in sorted.chunks_exact_mut(stride).zip(&members) {
+            copy_short(to, self.row_of(&rows, slot));
+        }
+        let keys: Vec<K> = members.iter().map(|&(key, ..)| key).collect();
         let home = |&(.., is_kept): &(K, u64, u32, bool)| {
             if is_kept { depth as u8 } else { depth as u8 | BEYOND }
         };
         let homes: Vec<u8> = members.iter().map(home).collect();
-        let places: Vec<u32> = (0..items.len() as u32).collect();
-        let points = SortedPoints { items: &items, homes: &homes, rows: table };
+        let places: Vec<u32> = (0..keys.len() as u32).collect();
+        let points =
+            SortedPoints { keys: &keys, homes: &homes, rows: &sorted, layout: self.layout };
         builder.finish(self.rules, depth, &points, &places)
     }
 }

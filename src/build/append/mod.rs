@@ -20,7 +20,7 @@ use crate::build::node::{NodeBuilder, TreeRules};
 use crate::build::options::ConvertOptions;
 use crate::build::progress::{Clock, Progress, Stage, StageTime};
 use crate::build::rows::{RowLayout, RowTable};
-use crate::build::sort::{Item, SortScratch, sort_rows};
+use crate::build::sort::{SortScratch, sort_rows};
 use crate::build::sources::Sources;
 use crate::geometry::MortonKey;
 use crate::ids::NodeId;
@@ -28,7 +28,7 @@ use crate::store::{
     AppendixPart, CrsInfo, Metadata, SourceInfo, Store, StoreAppender, ValueRange, compact,
 };
 use arrivals::{Arrivals, joined, read_arrivals};
-use grow::{Grown, Growth, Sink, Task};
+use grow::{Grown, Growth, Item, Sink, Task};
 
 /// What an addition to a store did.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
@@ -264,7 +264,10 @@ impl Addition<'_> {
         let pages: Vec<&[u8]> = arrivals.rows.chunks(layout.stride() << PAGE_SHIFT).collect();
         let table = RowTable::new(&pages, PAGE_SHIFT, layout);
         let mut items: Vec<Item<K>> = Vec::new();
-        sort_rows(table, &mut items, &mut SortScratch::default());
+        let base = K::default();
+        sort_rows(table, base, &mut SortScratch::default(), |key, slot| {
+            items.push(Item { key, slot });
+        });
         let rules = TreeRules {
             root_bits: metadata.root_bits,
             levels: metadata.depth,

@@ -8,10 +8,9 @@
 // reaches farthest up and down. Discs take one over all of a square.
 // Twin: passes::PointsCpu draws splats one by one. Test: tests/gpu_twins.rs. Not run unless all
 // splats share a size and drawing them one by one would take longer.
-#import shared/structs
+#import shared/frame_once
 #import shared/splat_shape
 
-@group(0) @binding(0) var<uniform> frame: GpuFrame;
 @group(2) @binding(0) var<storage, read> grown_from: array<vec2<u32>>;
 @group(2) @binding(1) var<storage, read_write> grown: array<vec2<u32>>;
 
@@ -50,6 +49,7 @@ fn nearest_along(middle: i32, stride: i32, margin: i32) -> vec2<u32> {
 
 @compute @workgroup_size(WORKGROUP_SIZE)
 fn grow_rows(@builtin(global_invocation_id) id: vec3<u32>) {
+    frame = bound_frame;
     let at = vec2<i32>(id.xy);
     let width = i32(frame.target_px.x);
     if at.x >= width {
@@ -62,6 +62,7 @@ fn grow_rows(@builtin(global_invocation_id) id: vec3<u32>) {
 
 @compute @workgroup_size(WORKGROUP_SIZE)
 fn grow_columns(@builtin(global_invocation_id) id: vec3<u32>) {
+    frame = bound_frame;
     let at = vec2<i32>(id.xy);
     let width = i32(frame.target_px.x);
     if at.x >= width {
@@ -74,6 +75,7 @@ fn grow_columns(@builtin(global_invocation_id) id: vec3<u32>) {
 
 @compute @workgroup_size(WORKGROUP_SIZE)
 fn grow_discs(@builtin(global_invocation_id) id: vec3<u32>) {
+    frame = bound_frame;
     let x = i32(id.x);
     let y = i32(id.y);
     let width = i32(frame.target_px.x);

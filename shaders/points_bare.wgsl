@@ -2,6 +2,7 @@
 // same decoding, projection, depth test and atomic as shaders/points_compute.wgsl, but no batch,
 // no node table, no splat size.
 // In: frame, nodes (one row), words. Out: pixels. The suites measure passes against it.
+#import shared/frame
 #import shared/splat
 #import pixels
 

@@ -3,6 +3,7 @@
 // a zeroed buffer is empty. How a pixel is held is in `pixels` (variants/pixels_64, pixels_32).
 // In: frame, nodes, words, batches (gpu::layout). Out: pixels.
 // Twin: passes::PointsCpu. Test: tests/gpu_twins.rs. Not run when no node is drawn.
+#import shared/frame_once
 #import shared/splat
 #import pixels
 
@@ -28,6 +29,7 @@ fn draw_points(
     if batch_index >= arrayLength(&batches) {
         return;
     }
+    frame = bound_frame;
     let batch = batches[batch_index];
     let node = nodes[batch.node_slot];
     // Groups of lanes take successive points, and each group a run of its own.

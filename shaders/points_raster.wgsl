@@ -8,6 +8,7 @@
 // as on the other paths. So points are drawn twice: for the order of the nearest distance
 // (`nearest_order`), then, of those that have it, for the colour, whose order stands in for depth
 // (`color_of_nearest`). At last orders become the depth that everything else reads.
+#import shared/frame
 #import shared/splat
 
 // Whether of some nodes only a share of the points is drawn. Fixed per pipeline.

@@ -373,6 +373,31 @@ fn the_order_of_nodes_does_not_matter() {
     }
 }
 
+/// White is a colour like others, although its inverted bits are all zero.
+#[test]
+fn white_points_are_seen_on_all_paths() {
+    let white: Vec<_> =
+        points_of(3_000, 12, 3, 0).into_iter().map(|(cell, _)| (cell, u32::MAX)).collect();
+    let lattice =
+        Lattice { scale: DVec3::splat(10.0 / 4096.0), offset: DVec3::new(5e5, 5e6, 500.0) };
+    let cloud = Arc::new(MemoryCloud::new(lattice, 12, 3, &white));
+    let view = view(160, 120, EYES[0]);
+    let mut settings = settings(SplatPolicy::PerPoint, 1.0);
+    settings.background = 0xff00_0000;
+    // Depth is written by another pipeline.
+    for depth in [false, true] {
+        settings.depth = depth;
+        let expected = draw(RasterPath::Cpu, &cloud, &view, &settings);
+        let whites = expected.colors.iter().filter(|&&color| color == u32::MAX).count();
+        assert_eq!(whites, expected.covered());
+        assert!(whites > 500, "{whites}");
+        for path in gpu().map_or(&[][..], |_| &PATHS) {
+            let picture = draw(*path, &cloud, &view, &settings);
+            assert!(picture.colors == expected.colors, "{path:?}, depth {depth}");
+        }
+    }
+}
+
 /// The points of a cloud of `bits` bits in a lattice that is finer, and no larger.
 fn spread(count: usize, bits: u32, finer_bits: u32, seed: u64) -> MemoryCloud {
     let points: Vec<_> = points_of(count, bits, seed, 0)

@@ -33,7 +33,7 @@ fn needed_color(color_at: u32) -> u32 {
 
 fn put_word(pixel: u32, nearness: u32, color: u32) {
     if COLOR_PASS {
-        atomicMax(&pixels[2u * pixel], ~color);
+        atomicMax(&pixels[2u * pixel], ~color | 0xff000000u);
     } else {
         atomicMax(&pixels[2u * pixel + 1u], nearness);
     }

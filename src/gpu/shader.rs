@@ -32,6 +32,8 @@ const FILES: &[(&str, &str)] = files![
     "show",
     "shared/structs",
     "shared/pyramid_test",
+    "shared/frame",
+    "shared/frame_once",
     "shared/scene",
     "shared/splat",
     "shared/splat_shape",

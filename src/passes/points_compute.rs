@@ -112,8 +112,9 @@ impl PointsCompute {
             let fragment = wgpu::ShaderStages::FRAGMENT;
             let read_only = wgpu::BufferBindingType::Storage { read_only: true };
             let read_write = wgpu::BufferBindingType::Storage { read_only: false };
+            let everywhere = compute | wgpu::ShaderStages::VERTEX_FRAGMENT;
             let frame_layout =
-                layout(gpu, "frame", &[(compute | fragment, wgpu::BufferBindingType::Uniform)]);
+                layout(gpu, "frame", &[(everywhere, wgpu::BufferBindingType::Uniform)]);
             let scene_layout = layout(gpu, "nodes, words, batches", &[(compute, read_only); 3]);
             let draw_pixels_layout = layout(gpu, "pixels, drawn", &[(compute, read_write)]);
             let resolve_pixels_layout = layout(gpu, "pixels, resolved", &[(fragment, read_only)]);

@@ -23,13 +23,16 @@ pub struct NodeWords<'a> {
     pub colors: &'a [u32],
 }
 
+/// Points are opaque.
+const OPAQUE: u32 = 0xff00_0000;
 /// Points that a core draws at a time.
 const BATCH_POINTS: u32 = 4096;
 
 /// The pass and its pixels, kept from frame to frame.
 #[derive(Debug, Default)]
 pub struct PointsCpu {
-    /// Inverted distance in the high word, inverted colour in the low one; 0 is empty.
+    /// Inverted distance in the high word, inverted colour under a byte of ones in the low one; 0 is
+    /// empty.
     pixels: Vec<AtomicU64>,
     batches: Batches,
 }
@@ -57,7 +60,7 @@ impl PointsCpu {
             .par_iter()
             .map(|pixel| match pixel.load(Ordering::Relaxed) {
                 0 => (frame.background, f32::INFINITY),
-                value => (!(value as u32), f32::from_bits(!((value >> 32) as u32))),
+                value => (!(value as u32) | OPAQUE, f32::from_bits(!((value >> 32) as u32))),
             })
             .unzip();
         Picture { width_px, height_px, colors, distances }
@@ -85,7 +88,10 @@ fn draw_batch(
         let pixel = &pixels[at];
         // Most points are hidden: they pay for no atomic operation.
         if (pixel.load(Ordering::Relaxed) >> 32) as u32 <= nearness {
-            pixel.fetch_max(u64::from(nearness) << 32 | u64::from(!color), Ordering::Relaxed);
+            pixel.fetch_max(
+                u64::from(nearness) << 32 | u64::from(!color | OPAQUE),
+                Ordering::Relaxed,
+            );
         }
     };
     for place in first..end {

@@ -2,6 +2,7 @@
 
 use glam::UVec3;
 
+use crate::build::levels::grow;
 use crate::build::node::SortedPoints;
 use crate::build::rows::{RowLayout, color_offset, copy_short, read_color};
 use crate::geometry::MortonKey;
@@ -64,43 +65,42 @@ impl Encoder {
         let layout = points.layout;
         let stride = layout.attribute_bytes();
         // Gathered once, so that each column is then a walk over memory in order.
-        self.records.resize(ordered.len() * stride, 0);
+        grow(&mut self.records, ordered.len() * stride);
+        let records = &mut self.records[..ordered.len() * stride];
         if stride > 0 {
-            for (record, &place) in self.records.chunks_exact_mut(stride).zip(ordered) {
+            for (record, &place) in records.chunks_exact_mut(stride).zip(ordered) {
                 copy_short(record, layout.attributes(points.row(place)));
             }
         }
+        let records = &*records;
         self.bytes.clear();
         let mut sections = Vec::with_capacity(encoding.sections.len());
         let mut tight = [UVec3::MAX, UVec3::ZERO];
         let attributes = &encoding.schema.attributes;
         let mut ranges: Vec<Vec<ValueRange>> = vec![Vec::new(); attributes.len()];
-        if encoding.color_bits.is_some()
-            && let Some((i, rgb)) = encoding.schema.find(names::RGB)
-        {
-            take_column(&self.records, stride, rgb, &mut self.column);
-            ranges[i] = value_ranges(rgb, &self.column);
+        if encoding.color_bits.is_some() {
+            color_ranges(records, stride, encoding.schema, &mut ranges);
         }
         for section in encoding.sections {
             let mut shape = section.shape;
+            if section.content == SectionContent::Positions {
+                shape = position_shape(local_bits);
+            }
+            let bytes = ordered.len() * shape.bytes();
+            grow(&mut self.column, bytes);
+            let column = &mut self.column[..bytes];
             match section.content {
                 SectionContent::Attribute(i) => {
                     let attribute = &attributes[i as usize];
-                    take_column(&self.records, stride, attribute, &mut self.column);
-                    ranges[i as usize] = value_ranges(attribute, &self.column);
+                    take_column(records, stride, attribute, column);
+                    ranges[i as usize] = value_ranges(attribute, column);
                 }
                 SectionContent::Positions => {
-                    shape = position_shape(local_bits);
-                    tight = push_positions(points, ordered, local_bits, &mut self.column);
+                    tight = take_positions(points, ordered, local_bits, column);
                 }
-                SectionContent::Color => {
-                    push_colors(&self.records, stride, encoding, &mut self.column)
-                }
-                SectionContent::ColorLow => {
-                    push_low_colors(&self.records, stride, encoding, &mut self.column)
-                }
+                SectionContent::Color => take_colors(records, stride, encoding, column),
+                SectionContent::ColorLow => take_low_colors(records, stride, encoding, column),
             }
-            let column = &self.column;
             sections.push(encode_section(shape, column, &mut self.scratch, &mut self.bytes));
         }
         let levels = LevelIndex::new(totals).expect("level totals of a node rise from 1");
@@ -117,13 +117,12 @@ pub struct BlockEncoder<'a> {
     layout: RowLayout,
     local_bits: u32,
     records: Vec<u8>,
-    color: Vec<u8>,
 }
 
 impl<'a> BlockEncoder<'a> {
     /// For rows of a node with so many bits of local coordinates.
     pub fn new(encoding: &'a Encoding<'a>, layout: RowLayout, local_bits: u32) -> Self {
-        BlockEncoder { encoding, layout, local_bits, records: Vec::new(), color: Vec::new() }
+        BlockEncoder { encoding, layout, local_bits, records: Vec::new() }
     }
 
     /// The shape of each section.
@@ -152,59 +151,56 @@ impl<'a> BlockEncoder<'a> {
         for row in rows.chunks_exact(self.layout.stride()) {
             self.records.extend_from_slice(self.layout.attributes(row));
         }
-        match self.encoding.sections[section].content {
+        let rows = rows.chunks_exact(self.layout.stride());
+        let section = &self.encoding.sections[section];
+        let shape = match section.content {
+            SectionContent::Positions => position_shape(self.local_bits),
+            _ => section.shape,
+        };
+        column.resize(rows.len() * shape.bytes(), 0);
+        match section.content {
             SectionContent::Attribute(i) => {
                 let attribute = &attributes[i as usize];
                 take_column(&self.records, stride, attribute, column);
                 ranges[i as usize] = value_ranges(attribute, column);
             }
             SectionContent::Positions => {
-                let keys = rows
-                    .chunks_exact(self.layout.stride())
-                    .map(|row| K::read(row).local(self.local_bits));
-                push_local(keys, self.local_bits, column);
+                let keys = rows.map(|row| K::read(row).local(self.local_bits));
+                take_local(keys, self.local_bits, column);
             }
             SectionContent::Color => {
-                push_colors(&self.records, stride, self.encoding, column);
-                if let Some((i, rgb)) = self.encoding.schema.find(names::RGB) {
-                    take_column(&self.records, stride, rgb, &mut self.color);
-                    ranges[i] = value_ranges(rgb, &self.color);
-                }
+                take_colors(&self.records, stride, self.encoding, column);
+                color_ranges(&self.records, stride, self.encoding.schema, &mut ranges);
             }
             SectionContent::ColorLow => {
-                push_low_colors(&self.records, stride, self.encoding, column)
+                take_low_colors(&self.records, stride, self.encoding, column)
             }
         }
         ranges
     }
 }
 
-fn push_positions<K: MortonKey>(
+fn take_positions<K: MortonKey>(
     points: &SortedPoints<K>,
     ordered: &[u32],
     local_bits: u32,
-    column: &mut Vec<u8>,
+    column: &mut [u8],
 ) -> [UVec3; 2] {
     let keys = ordered.iter().map(|&place| points.keys[place as usize].local(local_bits));
-    push_local(keys.clone(), local_bits, column);
+    take_local(keys.clone(), local_bits, column);
     K::bounds(keys).map(UVec3::from)
 }
 
-/// Replaces `column` by local codes as they are stored.
-fn push_local<K: MortonKey>(
-    keys: impl ExactSizeIterator<Item = K>,
-    local_bits: u32,
-    column: &mut Vec<u8>,
-) {
-    column.clear();
+/// Fills a column with local codes as they are stored.
+fn take_local<K: MortonKey>(keys: impl Iterator<Item = K>, local_bits: u32, column: &mut [u8]) {
     if local_bits <= NARROW_BITS {
-        column.resize(8 * keys.len(), 0);
         for (bytes, local) in column.chunks_exact_mut(8).zip(keys) {
             bytes.copy_from_slice(&local.low_u64().to_le_bytes());
         }
     } else {
-        for local in keys {
-            local.decode().iter().for_each(|c| column.extend_from_slice(&c.to_le_bytes()));
+        for (bytes, local) in column.chunks_exact_mut(12).zip(keys) {
+            let axes = bytes.chunks_exact_mut(4).zip(local.decode());
+            axes.for_each(|(bytes, c)| bytes.copy_from_slice(&c.to_le_bytes()));
         }
     }
 }
@@ -218,10 +214,8 @@ fn record_colors<'a>(
     records.chunks_exact(stride).map(move |record| read_color(&record[offset - COORDINATE_BYTES..]))
 }
 
-fn push_colors(records: &[u8], stride: usize, encoding: &Encoding, column: &mut Vec<u8>) {
+fn take_colors(records: &[u8], stride: usize, encoding: &Encoding, column: &mut [u8]) {
     let shift = if encoding.color_bits == Some(16) { 8 } else { 0 };
-    column.clear();
-    column.resize(records.len() / stride * 4, 255);
     let colors = record_colors(records, stride, encoding.schema);
     for (to, [r, g, b]) in column.chunks_exact_mut(4).zip(colors) {
         to.copy_from_slice(&[(r >> shift) as u8, (g >> shift) as u8, (b >> shift) as u8, 255]);
@@ -229,23 +223,37 @@ fn push_colors(records: &[u8], stride: usize, encoding: &Encoding, column: &mut 
 }
 
 /// Low bytes come xor-ed with the high ones: zero where 8-bit values were widened by repetition.
-fn push_low_colors(records: &[u8], stride: usize, encoding: &Encoding, column: &mut Vec<u8>) {
-    column.clear();
-    for color in record_colors(records, stride, encoding.schema) {
-        column.extend_from_slice(&color.map(|channel| (channel ^ channel >> 8) as u8));
+fn take_low_colors(records: &[u8], stride: usize, encoding: &Encoding, column: &mut [u8]) {
+    let colors = record_colors(records, stride, encoding.schema);
+    for (to, color) in column.chunks_exact_mut(3).zip(colors) {
+        to.copy_from_slice(&color.map(|channel| (channel ^ channel >> 8) as u8));
     }
 }
 
-/// Replaces `column` by an attribute's values. `records` begin after their coordinates.
-fn take_column(records: &[u8], stride: usize, attribute: &Attribute, column: &mut Vec<u8>) {
+/// Notes the smallest and the largest value of each channel of the colour.
+fn color_ranges(records: &[u8], stride: usize, schema: &Schema, ranges: &mut [Vec<ValueRange>]) {
+    let Some((attribute, _)) = schema.find(names::RGB) else { return };
+    let (mut low, mut high) = ([u16::MAX; 3], [u16::MIN; 3]);
+    for color in record_colors(records, stride, schema) {
+        for channel in 0..3 {
+            low[channel] = low[channel].min(color[channel]);
+            high[channel] = high[channel].max(color[channel]);
+        }
+    }
+    if !records.is_empty() {
+        let range = |(min, max)| ValueRange { min: f64::from(min), max: f64::from(max) };
+        ranges[attribute] = low.into_iter().zip(high).map(range).collect();
+    }
+}
+
+/// Fills a column with an attribute's values. `records` begin after their coordinates.
+fn take_column(records: &[u8], stride: usize, attribute: &Attribute, column: &mut [u8]) {
     fn take<const N: usize>(records: &[u8], stride: usize, offset: usize, column: &mut [u8]) {
         for (value, record) in column.chunks_exact_mut(N).zip(records.chunks_exact(stride)) {
             value.copy_from_slice(&record[offset..offset + N]);
         }
     }
     let (offset, bytes) = (attribute.record_offset as usize - COORDINATE_BYTES, attribute.bytes());
-    column.clear();
-    column.resize(records.len() / stride * bytes, 0);
     match bytes {
         1 => take::<1>(records, stride, offset, column),
         2 => take::<2>(records, stride, offset, column),

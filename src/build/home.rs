@@ -53,50 +53,114 @@ impl Homes {
     }
 
     /// Writes `homes[place]` of all points, which have been passed on by all nodes above `depth`.
-    ///
-    /// Depth by depth, two passes over all that still wait: one finds the first arrival of each
-    /// cell, one lets it go. Cells mostly hold a few points, too few for branches to be foretold,
-    /// so where one begins and whom it takes is decided by arithmetic.
     pub fn assign(&self, waiting: &mut Waiting, depth: u32, homes: &mut [u8]) {
         let Waiting { tags, shared, first } = waiting;
         let mut count = tags.len();
         if first.len() < count {
             first.resize(count, 0);
         }
-        for depth in depth..=self.max_depth() {
-            if count == 0 {
-                return;
-            }
+        let mut depth = depth;
+        while depth <= self.max_depth() && self.cells(shared, depth) * FEW < count {
+            self.take_from_long(tags, shared, depth, homes);
+            depth += 1;
+        }
+        count = drop_taken(tags, shared);
+        while depth <= self.max_depth() && count > 0 {
             let (tags, shared) = (&mut tags[..count], &mut shared[..count]);
-            // Cells of a depth are shared by points that share so many levels.
-            let least = (depth + self.levels) as u8;
-            let (mut cell, mut earliest) = (usize::MAX, 0);
-            for (&tag, &shared) in tags.iter().zip(shared.iter()) {
-                let is_same = shared > least;
-                cell = cell.wrapping_add(usize::from(!is_same));
-                // The largest number if another cell begins.
-                earliest = tag.min(earliest | u64::from(is_same).wrapping_sub(1));
-                first[cell] = earliest;
-            }
-            let (mut cell, mut left, mut gap) = (usize::MAX, 0, u8::MAX);
-            for i in 0..count {
-                let (tag, shared_here) = (tags[i], shared[i]);
-                cell = cell.wrapping_add(usize::from(shared_here <= least));
-                let is_taken = tag == first[cell];
-                // Those that stay on have another depth written over it.
-                homes[tag as u32 as usize] = depth as u8;
-                gap = gap.min(shared_here);
-                tags[left] = tag;
-                shared[left] = gap;
-                left += usize::from(!is_taken);
-                gap |= u8::from(is_taken).wrapping_sub(1);
-            }
-            count = left;
+            count = self.take_from_short(tags, shared, first, depth, homes);
+            depth += 1;
         }
         for tag in &tags[..count] {
             homes[*tag as u32 as usize] = self.max_depth() as u8 | BEYOND;
         }
     }
+
+    /// The levels that points in a finest cell of a node at `depth` share, at least.
+    fn least_shared(&self, depth: u32) -> u8 {
+        (depth + self.levels) as u8
+    }
+
+    /// Number of finest cells of nodes at `depth`.
+    fn cells(&self, shared: &[u8], depth: u32) -> usize {
+        let least = self.least_shared(depth);
+        shared.iter().filter(|&&shared| shared <= least).count()
+    }
+
+    /// Takes the first arrival of each cell: cell by cell, where these hold many points. Those
+    /// taken stay in place as [`TAKEN`].
+    fn take_from_long(&self, tags: &mut [u64], shared: &[u8], depth: u32, homes: &mut [u8]) {
+        let least = self.least_shared(depth);
+        let mut start = 0;
+        while start < tags.len() {
+            let inside = shared[start + 1..].iter().position(|&shared| shared <= least);
+            let end = inside.map_or(tags.len(), |inside| start + 1 + inside);
+            let cell = &mut tags[start..end];
+            start = end;
+            let earliest = cell.iter().fold(TAKEN, |a, &b| a.min(b));
+            if earliest != TAKEN
+                && let Some(taken) = cell.iter_mut().find(|tag| **tag == earliest)
+            {
+                homes[earliest as u32 as usize] = depth as u8;
+                *taken = TAKEN;
+            }
+        }
+    }
+
+    /// Takes the first arrival of each cell and returns how many are left: in two passes over all,
+    /// one to find those, one to let them go. Cells of a few points are too short for branches to
+    /// be foretold, so where one begins and whom it takes is decided by arithmetic.
+    fn take_from_short(
+        &self,
+        tags: &mut [u64],
+        shared: &mut [u8],
+        first: &mut [u64],
+        depth: u32,
+        homes: &mut [u8],
+    ) -> usize {
+        let least = self.least_shared(depth);
+        let (mut cell, mut earliest) = (usize::MAX, 0);
+        for (&tag, &shared) in tags.iter().zip(shared.iter()) {
+            let is_same = shared > least;
+            cell = cell.wrapping_add(usize::from(!is_same));
+            // The largest number if another cell begins.
+            earliest = tag.min(earliest | u64::from(is_same).wrapping_sub(1));
+            first[cell] = earliest;
+        }
+        let (mut cell, mut left, mut gap) = (usize::MAX, 0, u8::MAX);
+        for i in 0..tags.len() {
+            let (tag, shared_here) = (tags[i], shared[i]);
+            cell = cell.wrapping_add(usize::from(shared_here <= least));
+            let is_taken = tag == first[cell];
+            // Those that stay on have another depth written over it.
+            homes[tag as u32 as usize] = depth as u8;
+            gap = gap.min(shared_here);
+            tags[left] = tag;
+            shared[left] = gap;
+            left += usize::from(!is_taken);
+            gap |= u8::from(is_taken).wrapping_sub(1);
+        }
+        left
+    }
+}
+
+/// Cells with so many points on average are worth going through one by one.
+const FEW: usize = 16;
+
+/// The tag of a point that has found its home. No other has it: places are smaller.
+const TAKEN: u64 = u64::MAX;
+
+/// Moves those that still wait together; returns how many they are.
+fn drop_taken(tags: &mut [u64], shared: &mut [u8]) -> usize {
+    let (mut left, mut gap) = (0, u8::MAX);
+    for i in 0..tags.len() {
+        let tag = tags[i];
+        gap = gap.min(shared[i]);
+        tags[left] = tag;
+        shared[left] = gap;
+        left += usize::from(tag != TAKEN);
+        gap |= u8::from(tag == TAKEN).wrapping_sub(1);
+    }
+    left
 }
 
 #[cfg(test)]

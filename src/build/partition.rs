@@ -151,7 +151,7 @@ impl<'a, 'p, K: MortonKey> Partition<'a, 'p, K> {
         })
     }
 
-    #[inline]
+    #[inline(always)]
     fn add(
         &self,
         open: &mut OpenPages<'p>,

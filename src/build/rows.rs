@@ -53,7 +53,7 @@ impl RowLayout {
     }
 
     /// Fills a row. `attributes` are a record's bytes after its coordinates.
-    #[inline]
+    #[inline(always)]
     pub fn write<K: MortonKey>(&self, row: &mut [u8], key: K, index: u64, attributes: &[u8]) {
         key.write(row);
         let rest = &mut row[K::BYTES..];
@@ -97,7 +97,7 @@ impl RowLayout {
 }
 
 /// Copies a handful of bytes without calling out. The slices have the same length.
-#[inline]
+#[inline(always)]
 pub fn copy_short(to: &mut [u8], from: &[u8]) {
     /// The first and the last `N` bytes, which may overlap. A loop would become a call.
     #[inline]

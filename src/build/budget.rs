@@ -27,7 +27,7 @@ const FIXED_BYTES: u64 = 40 << 20;
 const MOST_PAGE_SHIFT: u32 = 11;
 const LEAST_PAGE_SHIFT: u32 = 1;
 /// Chunks this large stay near the cache.
-const CHUNK_POINTS: u64 = 1 << 16;
+const CHUNK_POINTS: u64 = 1 << 15;
 /// Chunks of an input where memory allows so few.
 const MOST_CHUNKS: u64 = 1 << 10;
 /// Nodes that wait for an earlier chunk need not be many.

@@ -102,6 +102,7 @@ impl MortonKey for u64 {
 
     same_for_both_widths!();
 
+    #[inline]
     fn encode(cell: [u32; 3]) -> Self {
         spread(cell[0]) | spread(cell[1]) << 1 | spread(cell[2]) << 2
     }
@@ -145,6 +146,7 @@ impl MortonKey for u128 {
 
     same_for_both_widths!();
 
+    #[inline]
     fn encode(cell: [u32; 3]) -> Self {
         let low = u64::encode(cell.map(|c| c & 0x1f_ffff));
         let high = u64::encode(cell.map(|c| c >> 21));
@@ -189,6 +191,7 @@ impl MortonKey for u128 {
 }
 
 /// Spreads the low 21 bits of `v` to every third bit.
+#[inline]
 fn spread(v: u32) -> u64 {
     let mut x = u64::from(v) & 0x1f_ffff;
     x = (x | x << 32) & 0x001f_0000_0000_ffff;

@@ -12,7 +12,7 @@ mod shared_data;
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};
 
 use egui::{Event, Key, Modifiers, Pos2, RawInput, Rect, Vec2};
@@ -267,6 +267,55 @@ fn a_request_that_ends_early_leaves_nothing() {
         closing.join().expect("it ends");
         let _ = fs::remove_file(place.path("field.esker"));
         assert_eq!(place.left(), ["field.las"], "after {signs} signs");
+    }
+}
+
+/// Lets the listing of a folder end; until then the request is at its very beginning.
+static LISTED: Mutex<Option<Receiver<()>>> = Mutex::new(None);
+
+#[test]
+fn a_request_that_ends_while_texts_are_read_tells_nothing_and_leaves_nothing() {
+    // Text is read as a whole when it is opened, before there is a preview or a sign of life.
+    let place = Place::new();
+    let folder = place.path("texts");
+    fs::create_dir(&folder).expect("a folder");
+    for name in ["a.xyz", "b.xyz"] {
+        let rows: String = (0..20_000).map(|i| format!("{} {} 0.5\n", i % 200, i / 200)).collect();
+        fs::write(folder.join(name), rows).expect("a text");
+    }
+    let options = OpeningOptions {
+        list_folder: Some(|folder| {
+            let held = LISTED.lock().expect("nobody panics with it").take();
+            let _ = held.expect("one request at a time").recv();
+            let entries = fs::read_dir(folder)?.map(|entry| Ok(entry?.path()));
+            entries.collect()
+        }),
+        ..place.options()
+    };
+    for is_cancelled in [true, false] {
+        let (go, wait) = sync_channel::<()>(0);
+        *LISTED.lock().expect("nobody panics with it") = Some(wait);
+        let wake = Arc::new(|_| {});
+        let opening = Opening::start(vec![folder.clone()], options.clone(), wake);
+        let opening = opening.expect("a thread starts");
+        if is_cancelled {
+            opening.cancel();
+        }
+        drop(go);
+        while !opening.is_finished() {
+            std::thread::yield_now();
+        }
+        let news: Vec<Opened> = std::iter::from_fn(|| opening.next()).collect();
+        if is_cancelled {
+            assert!(news.is_empty(), "whoever cancelled needs no message: {news:?}");
+            assert!(opening.advance().is_none(), "nothing is being converted");
+            assert_eq!(place.left(), ["texts"]);
+        } else {
+            let (_, stores, lines) = sorted(news);
+            assert_eq!((stores.len(), lines.len()), (1, 0), "{lines:?}");
+            drop((stores, opening));
+            assert_eq!(place.left(), ["texts", "texts.esker"]);
+        }
     }
 }
 

@@ -71,7 +71,8 @@ impl Budget {
         let open = |shift: u32| workers as u64 * chunks.min(MOST_CHUNKS) * (row << shift);
         let shifts = LEAST_PAGE_SHIFT..=MOST_PAGE_SHIFT;
         let page_shift = shifts.rev().find(|shift| open(*shift) <= usable / 4)?;
-        let work_bytes = work * chunk_points.min(2 * CHUNK_POINTS);
+        // Chunks of large inputs, and those that turn out larger than planned.
+        let work_bytes = work * chunk_points.min(4 * CHUNK_POINTS);
         let node_bytes = (usable / 20).min(MOST_NODE_BYTES);
         let spanning_bytes = usable / 10;
         Some(Budget {

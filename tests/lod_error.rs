@@ -8,14 +8,14 @@ mod insertion;
 #[path = "support/scans.rs"]
 mod scans;
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::f64::consts::TAU;
 use std::sync::OnceLock;
 
 use esker::geometry::{Camera, View};
 use esker::ids::NodeId;
 use esker::metrics::{PictureError, Pixels, compare};
-use esker::passes::Picture;
+use esker::passes::{DrawnNode, Picture};
 use esker::select::{
     AllResident, Availability, CellSpan, Cut, CutScratch, CutSettings, LevelRule, RuleCell,
     SplatPolicy, SplatSettings, select_nodes,
@@ -336,4 +336,35 @@ fn draws_are_few_and_large() {
     }
     println!("{} points per draw", points / draws);
     assert!(points / draws > 1000);
+}
+
+/// With continuous levels the sizes of splats change by little when the error does, also as the last
+/// child of a node comes, which tells how wide the node's own points lie.
+#[test]
+fn sizes_pass_continuously_with_the_levels() {
+    let mut random = Random::new(11);
+    let views: Vec<View> = (0..12).map(|_| scan().random_view(&mut random)).collect();
+    let largest = |continuous: bool| {
+        let mut largest = 1.0f32;
+        for view in &views {
+            let mut before: HashMap<NodeId, f32> = HashMap::new();
+            for step in 0..60 {
+                let error_px = 4.0 * 0.985f64.powi(step);
+                let settings = CutSettings { error_px, continuous, ..CutSettings::default() };
+                let cut = select(scan(), view, &settings);
+                let table = scan().table(&cut, view, &settings.splat);
+                let size = |draw: &DrawnNode| table.nodes[draw.slot as usize].splat_px_m;
+                let now: HashMap<_, _> = table.draws.iter().map(|d| (d.node, size(d))).collect();
+                for (node, size) in &now {
+                    let ratio = before.get(node).map_or(1.0, |before| size / before);
+                    largest = largest.max(ratio).max(ratio.recip());
+                }
+                before = now;
+            }
+        }
+        largest
+    };
+    let (plain, continuous) = (largest(false), largest(true));
+    assert!(continuous < 1.15, "{continuous}");
+    assert!(plain > 1.5, "{plain}: there is something to see");
 }

@@ -10,7 +10,7 @@ use std::ops::Range;
 use crate::geometry::{Aabb, View};
 use crate::gpu::layout::{GpuBatch, GpuNode, NARROW_BITS, position_words};
 use crate::ids::NodeId;
-use crate::octree::Octree;
+use crate::octree::{LevelIndex, Octree};
 use crate::passes::shown::Shown;
 use crate::passes::{CheckpointPlan, DrawPart};
 use crate::select::{Cut, DrawNode, DrawnRow, SplatSettings, SplatSize};
@@ -37,6 +37,14 @@ pub struct CloudDraw<'a> {
     pub place: &'a dyn Fn(NodeId) -> NodePlace,
     /// What share of a drawn node's points has appeared, 0..=1; none: all of all nodes.
     pub appeared: Option<&'a dyn Fn(NodeId) -> f32>,
+}
+
+impl CloudDraw<'_> {
+    /// What share of a drawn node's points is drawn.
+    fn share(&self, row: &DrawnRow) -> f32 {
+        let appeared = self.appeared.map_or(1.0, |appeared| appeared(row.node));
+        appeared * self.cut.draw[row.draw as usize].share
+    }
 }
 
 /// One draw: leading points of one node.
@@ -201,18 +209,22 @@ impl DrawTable {
         for ((index, row), slot) in cloud.cut.table.iter().enumerate().zip(base..) {
             let drawn = cloud.cut.draw[row.draw as usize];
             let place = (cloud.place)(row.node);
-            let share = cloud.appeared.map_or(1.0, |appeared| appeared(row.node)) * drawn.share;
+            let share = cloud.share(row);
             let shown = Shown::of(&octree.node(row.node).levels, drawn.count, share);
             let edge = match splat.takes_finest_around() {
                 // Looking up a point's size relies on sizes that never grow on the way down. A node
                 // that is not all there yet is not yet as fine as it will be.
                 true => {
                     let above = coarsest_edges[index];
-                    let own = splat_edge(octree, row, &drawn).min(above);
-                    if share < 1.0 && above.is_finite() {
+                    let own = splat_edge(octree, row, &drawn, cloud).min(above);
+                    if share >= 1.0 {
+                        own
+                    } else if above.is_finite() {
                         own * (above / own).powf(f64::from(1.0 - share))
                     } else {
-                        own
+                        // Of a root whole levels come one after the other.
+                        let levels = &octree.node(row.node).levels;
+                        own * (1.0 - last_level_share(levels, drawn.count, share)).exp2()
                     }
                 }
                 false => octree.cell_size(drawn.splat_level).max_element(),
@@ -296,8 +308,9 @@ const UNEVENNESS: f64 = 1.5;
 ///
 /// Where finer points exist but are not drawn, splats cover the cell whose representative they
 /// are. Where all there is is drawn, cells say nothing: the points' own spacing counts, be it wider
-/// (a wall seen from near) or narrower (a sparse node in a large cell).
-fn splat_edge(octree: &Octree, row: &DrawnRow, drawn: &DrawNode) -> f64 {
+/// (a wall seen from near) or narrower (a sparse node in a large cell). In between, as far as the
+/// last child has come.
+fn splat_edge(octree: &Octree, row: &DrawnRow, drawn: &DrawNode, cloud: &CloudDraw) -> f64 {
     let node = octree.node(row.node);
     let cell_edge = octree.cell_size(drawn.splat_level).max_element();
     let is_all = drawn.count == node.point_count() && node.child_mask == row.child_drawn_mask;
@@ -306,7 +319,24 @@ fn splat_edge(octree: &Octree, row: &DrawnRow, drawn: &DrawNode) -> f64 {
     }
     let node_edge = octree.cell_size(node.depth).max_element();
     let spacing = UNEVENNESS * node_edge * node.levels.surface_spacing();
-    if node.child_mask == 0 { spacing } else { spacing.max(cell_edge) }
+    if node.child_mask == 0 {
+        return spacing;
+    }
+    let children = &cloud.cut.table[row.first_drawn_child as usize..];
+    let least = children[..row.child_drawn_mask.count_ones() as usize]
+        .iter()
+        .map(|child| cloud.share(child))
+        .fold(1.0, f32::min);
+    cell_edge * (spacing.max(cell_edge) / cell_edge).powf(f64::from(least))
+}
+
+/// How much is drawn of the last level of `count` leading points of which a share is, 0..=1.
+fn last_level_share(levels: &LevelIndex, count: u32, share: f32) -> f64 {
+    let totals = levels.totals();
+    let level = totals.partition_point(|&total| total < count);
+    let coarse = level.checked_sub(1).map_or(0.0, |before| f64::from(totals[before]));
+    let last = (f64::from(count) - coarse).max(1.0);
+    ((f64::from(share) * f64::from(count) - coarse) / last).clamp(0.0, 1.0)
 }
 
 /// The eye in lattice steps of a node: integer part clamped into the cell, and the rest.

@@ -94,8 +94,8 @@ impl Scan {
         (positions.collect(), colors.collect())
     }
 
-    /// The picture of a cut, drawn by the CPU pass.
-    pub fn draw(&self, cut: &Cut, view: &View, splat: &SplatSettings) -> Picture {
+    /// What is drawn of a cut.
+    pub fn table(&self, cut: &Cut, view: &View, splat: &SplatSettings) -> DrawTable {
         let place = |_| NodePlace::default();
         let mut table = DrawTable::default();
         table.fill(
@@ -104,6 +104,12 @@ impl Scan {
             splat,
         );
         assert_eq!(table.draws.len(), cut.draw.len(), "one draw per node");
+        table
+    }
+
+    /// The picture of a cut, drawn by the CPU pass.
+    pub fn draw(&self, cut: &Cut, view: &View, splat: &SplatSettings) -> Picture {
+        let table = self.table(cut, view, splat);
         let words = cut.table.iter().map(|row| {
             let (positions, colors) = &self.words[row.node.index()];
             NodeWords { positions, colors }

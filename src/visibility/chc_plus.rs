@@ -520,7 +520,7 @@ impl ChcPlus {
             .map_or(period, |share| self.retests.period(history.persistence, share, period));
         let wait = if bounded < period {
             // Random, so that leaves that appeared together part.
-            bounded.div_ceil(2) + random.below(u64::from(bounded)) as u32
+            (bounded.div_ceil(2) + random.below(u64::from(bounded)) as u32).min(period)
         } else if turned_visible && options.jitter && period > 1 {
             1 + random.below(u64::from(period - 1)) as u32
         } else {

@@ -519,8 +519,9 @@ impl ChcPlus {
             .in_vain
             .map_or(period, |share| self.retests.period(history.persistence, share, period));
         let wait = if bounded < period {
-            // Random, so that leaves that appeared together part.
-            (bounded.div_ceil(2) + random.below(u64::from(bounded)) as u32).min(period)
+            // Random, so that leaves that appeared together part; up to half beyond the bound, even
+            // beyond the period, because waits that end together there cost more than late ones.
+            bounded.div_ceil(2) + random.below(u64::from(bounded)) as u32
         } else if turned_visible && options.jitter && period > 1 {
             1 + random.below(u64::from(period - 1)) as u32
         } else {

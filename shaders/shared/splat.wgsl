@@ -1,5 +1,6 @@
 // From the words of a point to the square of pixels that it covers.
-// In: frame (shared/frame or shared/frame_once), nodes, words (shared/scene). Twin: passes::splat. Test: tests/gpu_twins.rs.
+// In: frame (shared/frame or shared/frame_once), nodes, words (shared/scene).
+// Twin: passes::splat. Test: tests/gpu_twins.rs.
 // Every operation stands here in the order in which the twin does it, so that pixels agree.
 #import shared/scene
 #import shared/splat_shape

@@ -10,11 +10,9 @@ use glam::DVec3;
 use crate::budget::Workload;
 use crate::geometry::{Aabb, Containment, Frustum, View};
 use crate::octree::Octree;
+use crate::passes::splat_edge;
 use crate::select::{Cut, DrawnRow, SplatSettings, SplatSize};
 
-/// Share by which splats of a node without finer points exceed its mean spacing; as in
-/// [`passes`](crate::passes).
-const UNEVENNESS: f64 = 1.5;
 /// Places per axis at which a node is looked at that the edge of the picture cuts through, and one
 /// that reaches around the eye.
 const PLACES: [u32; 2] = [3, 6];
@@ -77,19 +75,14 @@ struct Eye<'a> {
 
 /// World edge of the node's own splats.
 fn own_edge(octree: &Octree, row: &DrawnRow, cut: &Cut, splat: &SplatSettings) -> f64 {
-    let node = octree.node(row.node);
     let drawn = cut.draw[row.draw as usize];
-    let is_all = drawn.count == node.point_count() && node.child_mask == row.child_drawn_mask;
-    let cell_edge = octree.cell_size(drawn.splat_level).max_element();
     match splat.size {
         SplatSize::Fixed { .. } => 0.0,
         SplatSize::Attenuated { length } => length,
-        SplatSize::Adaptive if splat.takes_finest_around() && is_all => {
-            let node_edge = octree.cell_size(node.depth).max_element();
-            let spacing = UNEVENNESS * node_edge * node.levels.surface_spacing();
-            if node.child_mask == 0 { spacing } else { spacing.max(cell_edge) }
+        SplatSize::Adaptive if splat.takes_finest_around() => {
+            splat_edge(octree, cut, row, &|row| cut.draw[row.draw as usize].share)
         }
-        SplatSize::Adaptive => cell_edge,
+        SplatSize::Adaptive => octree.cell_size(drawn.splat_level).max_element(),
     }
 }
 

@@ -13,7 +13,7 @@ use crate::ids::NodeId;
 use crate::octree::{LevelIndex, Octree};
 use crate::passes::shown::Shown;
 use crate::passes::{CheckpointPlan, DrawPart};
-use crate::select::{Cut, DrawNode, DrawnRow, SplatSettings, SplatSize};
+use crate::select::{Cut, DrawnRow, SplatSettings, SplatSize};
 
 /// Where the words of a node are.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -216,7 +216,8 @@ impl DrawTable {
                 // that is not all there yet is not yet as fine as it will be.
                 true => {
                     let above = coarsest_edges[index];
-                    let own = splat_edge(octree, row, &drawn, cloud).min(above);
+                    let own =
+                        splat_edge(octree, cloud.cut, row, &|row| cloud.share(row)).min(above);
                     if share >= 1.0 {
                         own
                     } else if above.is_finite() {
@@ -304,14 +305,21 @@ impl DrawTable {
 /// scans are not even.
 const UNEVENNESS: f64 = 1.5;
 
-/// World edge of the splats of points that have no deeper drawn node around them.
+/// World edge of the splats of a node's points that have no deeper drawn node around them. `share`
+/// tells what share of a drawn node's points is drawn.
 ///
 /// Where finer points exist but are not drawn, splats cover the cell whose representative they
 /// are. Where all there is is drawn, cells say nothing: the points' own spacing counts, be it wider
 /// (a wall seen from near) or narrower (a sparse node in a large cell). In between, as far as the
 /// last child has come.
-fn splat_edge(octree: &Octree, row: &DrawnRow, drawn: &DrawNode, cloud: &CloudDraw) -> f64 {
+pub fn splat_edge(
+    octree: &Octree,
+    cut: &Cut,
+    row: &DrawnRow,
+    share: &dyn Fn(&DrawnRow) -> f32,
+) -> f64 {
     let node = octree.node(row.node);
+    let drawn = cut.draw[row.draw as usize];
     let cell_edge = octree.cell_size(drawn.splat_level).max_element();
     let is_all = drawn.count == node.point_count() && node.child_mask == row.child_drawn_mask;
     if !is_all {
@@ -322,10 +330,10 @@ fn splat_edge(octree: &Octree, row: &DrawnRow, drawn: &DrawNode, cloud: &CloudDr
     if node.child_mask == 0 {
         return spacing;
     }
-    let children = &cloud.cut.table[row.first_drawn_child as usize..];
+    let children = &cut.table[row.first_drawn_child as usize..];
     let least = children[..row.child_drawn_mask.count_ones() as usize]
         .iter()
-        .map(|child| cloud.share(child))
+        .map(share)
         .fold(1.0, f32::min);
     cell_edge * (spacing.max(cell_edge) / cell_edge).powf(f64::from(least))
 }

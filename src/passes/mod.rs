@@ -60,7 +60,7 @@ mod two_pass;
 
 pub use alternatives::{CheckpointPlan, DrawPart};
 pub use depth_pyramid_cpu::DepthPyramidCpu;
-pub use draw_table::{BatchKind, Batches, CloudDraw, DrawTable, DrawnNode, NodePlace};
+pub use draw_table::{BatchKind, Batches, CloudDraw, DrawTable, DrawnNode, NodePlace, splat_edge};
 pub use finish_cpu::{
     EyeDome, FinishSettings, MAX_FINISH_RADIUS_PX, fill_gaps, finish, light_eye_dome,
 };
